@@ -1,0 +1,53 @@
+"""Build script, for colcon (ament_python) and for pip."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages
+from setuptools import setup
+
+PACKAGE = 'obbhbb_ros'
+MANIFEST = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
+
+ROS = [
+    'ros-jazzy-rclpy',
+    'ros-jazzy-common-interfaces',
+    # rclpy needs a middleware and does not ask for one.
+    'ros-jazzy-rmw-fastrtps-cpp',
+]
+PLOTS = ['matplotlib>=3.6']
+IMAGES = ['pillow>=9.0']
+LINT = ['mypy>=1.8', 'ruff>=0.6']
+
+setup(
+    name=PACKAGE,
+    version=MANIFEST.findtext('version'),
+    description=' '.join(MANIFEST.findtext('description').split()),
+    long_description=Path(__file__).with_name('README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
+    license=MANIFEST.findtext('license'),
+    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    package_data={PACKAGE: ['py.typed', 'data/*']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        (f'share/{PACKAGE}/config', ['config/obb_to_hbb.yaml', 'config/paper.yaml']),
+        (f'share/{PACKAGE}/launch', ['launch/obb_to_hbb.launch.py']),
+    ],
+    python_requires='>=3.10',
+    install_requires=['numpy>=1.23', 'shapely>=2.0'],
+    extras_require={
+        'jazzy': ROS,
+        'plots': PLOTS,
+        'images': IMAGES,
+        'test': ['hypothesis>=6.80', 'pytest>=7.4', 'colcon-common-extensions', *IMAGES, *LINT],
+    },
+    entry_points={
+        'console_scripts': [
+            f'obbhbb = {PACKAGE}.cli:main',
+            f'obb_to_hbb = {PACKAGE}.nodes.obb_to_hbb:main',
+            f'play_detections = {PACKAGE}.nodes.play_detections:main',
+        ],
+    },
+    zip_safe=True,
+)
