@@ -1,0 +1,346 @@
+"""Oriented boxes and a rule in, axis-aligned boxes out, with flags and diagnostics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.methods import METHODS
+from obbhbb_ros.methods import get_method
+
+# Boxes converted at a time: the temporaries of so many stay in a core's own cache.
+BLOCK = 4096
+
+F_RANGE = S_RANGE = (0.0, 2.0)
+
+
+@dataclass(frozen=True)
+class HullRule:
+    """
+    A conversion rule with its shape parameters.
+
+    Attributes
+    ----------
+    method : str
+        A key of `obbhbb_ros.methods.METHODS`.
+    q : float
+        Shape exponent in [1, inf].
+    f : float
+        Fullness in (0, 2]: scales the half-width.
+    s : float
+        Shrink factor in (0, 2]: scales the half-extents.
+
+    Raises
+    ------
+    ValueError
+        If one of them is out of range; the message names it.
+    """
+
+    method: str = 'superellipse'
+    q: float = 3.0
+    f: float = 1.0
+    s: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        get_method(self.method)
+        if not self.q >= 1.0:
+            raise ValueError(f'q must be in [1, inf], not {self.q}')
+        for name, (low, high) in (('f', F_RANGE), ('s', S_RANGE)):
+            value = getattr(self, name)
+            if not low < value <= high:
+                raise ValueError(f'{name} must be in ({low:g}, {high:g}], not {value}')
+
+
+@dataclass(frozen=True)
+class Caps:
+    """
+    The largest ship that is believed, `L_max` and `W_max` of Algorithm 1.
+
+    Attributes
+    ----------
+    max_length, max_width : float or None
+        Upper bounds of the longer and the shorter extent of the axis-aligned box, pixels; None
+        where there is none.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not positive; the message names it.
+    """
+
+    max_length: float | None = None
+    max_width: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check both bounds."""
+        for name in ('max_length', 'max_width'):
+            value = getattr(self, name)
+            if value is not None and not value > 0.0:
+                raise ValueError(f'{name} must be positive or None, not {value}')
+
+    @property
+    def given(self) -> bool:
+        """Whether there is any bound."""
+        return self.max_length is not None or self.max_width is not None
+
+
+NO_CAPS = Caps()
+
+
+@dataclass(frozen=True, eq=False)
+class Conversion:
+    """
+    Axis-aligned boxes with the diagnostics of Algorithm 1.
+
+    Attributes
+    ----------
+    xyxy : ndarray, shape (N, 4)
+        x_min, y_min, x_max, y_max, pixels; NaN rows where the input could not be converted.
+    valid : ndarray of bool, shape (N,)
+        Which rows are boxes.
+    length, width : ndarray, shape (N,)
+        Sides of the oriented box, pixels.
+    theta : ndarray, shape (N,)
+        Angle of its long axis from image +x, radians in [-pi/2, pi/2).
+    t_x, t_y : ndarray, shape (N,)
+        Where along the hull the box touches it, 0 amidships to 1 at the bow; NaN for rules that
+        touch no curve.
+    capped : ndarray of bool, shape (N,)
+        Whether a bound changed the box.
+    """
+
+    xyxy: FloatArray
+    valid: NDArray[np.bool_]
+    length: FloatArray
+    width: FloatArray
+    theta: FloatArray
+    t_x: FloatArray
+    t_y: FloatArray
+    capped: NDArray[np.bool_]
+
+
+def convert(
+    boxes: OrientedBoxes,
+    method: str = 'superellipse',
+    q: float = 3.0,
+    f: float = 1.0,
+    s: float = 1.0,
+    max_length: float | None = None,
+    max_width: float | None = None,
+) -> FloatArray:
+    """
+    Convert oriented boxes to axis-aligned ones.
+
+    Parameters
+    ----------
+    boxes : OrientedBoxes
+        N boxes.
+    method : str
+        A key of `obbhbb_ros.methods.METHODS`.
+    q, f, s : float
+        Shape exponent in [1, inf], fullness and shrink factor in (0, 2]; used by the tunable
+        methods only.
+    max_length, max_width : float, optional
+        Bounds of the longer and the shorter extent of the result, pixels.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, 4)
+        x_min, y_min, x_max, y_max, pixels; a row is NaN where ``boxes.valid`` is False, or where
+        the result overflows.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of range; the message names it.
+
+    Examples
+    --------
+    >>> from obbhbb_ros import OrientedBoxes, convert
+    >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]])
+    >>> convert(boxes)
+    array([[20., 30., 80., 50.]])
+    """
+    return convert_by_rule(boxes, HullRule(method, q, f, s), Caps(max_length, max_width))
+
+
+def convert_by_rule(boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS) -> FloatArray:
+    """
+    Convert oriented boxes under a rule that is already checked.
+
+    Parameters
+    ----------
+    boxes : OrientedBoxes
+        N boxes.
+    rule : HullRule
+        The rule.
+    caps : Caps
+        Bounds of the result.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, 4)
+        As `convert`.
+    """
+    xyxy = np.empty((len(boxes), 4))
+    with np.errstate(invalid='ignore', over='ignore'):
+        for rows in _blocks(len(boxes)):
+            extents = _block_extents(boxes, rule, caps, rows)
+            _lay_around(boxes.center[:, rows], extents, xyxy[rows])
+    return xyxy
+
+
+def half_extents(
+    boxes: OrientedBoxes,
+    rules: Sequence[HullRule],
+    rule_of: NDArray[np.intp] | None = None,
+    caps: Caps = NO_CAPS,
+) -> FloatArray:
+    """
+    Compute half-extents along x and y, each box under the rule of its class.
+
+    Parameters
+    ----------
+    boxes : OrientedBoxes
+        N boxes.
+    rules : sequence of HullRule
+        The rules in use.
+    rule_of : ndarray of int, shape (N,), optional
+        For each box, the index of its rule; without it the first rule is for all.
+    caps : Caps
+        Bounds of the result, the same for all.
+
+    Returns
+    -------
+    ndarray of float64, shape (2, N)
+        Half-extents, pixels; NaN columns where the box cannot be converted.
+    """
+    extents = np.empty((2, len(boxes)))
+    with np.errstate(invalid='ignore', over='ignore'):
+        if rule_of is None:
+            for rows in _blocks(len(boxes)):
+                extents[:, rows] = _block_extents(boxes, rules[0], caps, rows)
+        else:
+            for index, rule in enumerate(rules):
+                mine = np.flatnonzero(rule_of == index)
+                if mine.size:
+                    extents[:, mine] = _block_extents(boxes.take(mine), rule, caps, slice(None))
+        finite = np.isfinite(np.abs(boxes.center) + extents).all(axis=0)
+        if not finite.all():
+            extents[:, ~finite] = np.nan
+    return extents
+
+
+def convert_with_diagnostics(
+    boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS
+) -> Conversion:
+    """
+    Convert oriented boxes and tell how, the optional output of Algorithm 1.
+
+    Parameters
+    ----------
+    boxes : OrientedBoxes
+        N boxes.
+    rule : HullRule
+        The rule.
+    caps : Caps
+        Bounds of the result.
+
+    Returns
+    -------
+    Conversion
+        The boxes, and L, W, theta, t_x, t_y and the cap flag of each.
+    """
+    xyxy = convert_by_rule(boxes, rule, caps)
+    uncapped = convert_by_rule(boxes, rule)
+    valid = ~np.isnan(xyxy[:, 0])
+    along, across = _reaches(boxes, rule, slice(None))
+    with np.errstate(invalid='ignore', over='ignore'):
+        t_x, t_y = METHODS[rule.method].contact(along, across, rule.q)
+    return Conversion(
+        xyxy=xyxy,
+        valid=valid,
+        length=boxes.length,
+        width=boxes.width,
+        theta=boxes.theta,
+        t_x=np.where(valid, t_x, np.nan),
+        t_y=np.where(valid, t_y, np.nan),
+        capped=valid & (xyxy != uncapped).any(axis=1),
+    )
+
+
+def to_xyxy(center: FloatArray, extents: FloatArray) -> FloatArray:
+    """
+    Lay half-extents around centres.
+
+    Parameters
+    ----------
+    center : ndarray, shape (2, N)
+        Centres, pixels.
+    extents : ndarray, shape (2, N)
+        Half-extents, pixels.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, 4)
+        x_min, y_min, x_max, y_max; NaN rows where one of them is not finite.
+    """
+    xyxy = np.empty((center.shape[1], 4))
+    with np.errstate(invalid='ignore', over='ignore'):
+        _lay_around(center, extents, xyxy)
+    return xyxy
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """Cut `count` rows into slices that fit a core's cache."""
+    return (slice(start, start + BLOCK) for start in range(0, count, BLOCK))
+
+
+def _block_extents(
+    boxes: OrientedBoxes, rule: HullRule, caps: Caps, rows: slice
+) -> FloatArray:
+    """Compute the half-extents of some rows, (2, n)."""
+    along, across = _reaches(boxes, rule, rows)
+    method = METHODS[rule.method]
+    extents = method.half_extents(along, across, rule.q)
+    if method.tunable and rule.s != 1.0:
+        extents = extents * rule.s
+    return _capped(extents, caps) if caps.given else extents
+
+
+def _reaches(
+    boxes: OrientedBoxes, rule: HullRule, rows: slice
+) -> tuple[FloatArray, FloatArray]:
+    """Project the hull's half axes, the half-width scaled by the fullness."""
+    along = np.abs(boxes.long_axis[:, rows])
+    across = np.abs(boxes.short_axis[:, rows])
+    if METHODS[rule.method].tunable and rule.f != 1.0:
+        across *= rule.f
+    return along, across
+
+
+def _capped(extents: FloatArray, caps: Caps) -> FloatArray:
+    """Bound the longer half-extent by half the length, the other by half the width."""
+    longer = np.inf if caps.max_length is None else caps.max_length / 2.0
+    shorter = np.inf if caps.max_width is None else caps.max_width / 2.0
+    lies_on_x = extents[0] >= extents[1]
+    limits = np.stack(
+        (np.where(lies_on_x, longer, shorter), np.where(lies_on_x, shorter, longer))
+    )
+    return np.minimum(extents, limits)
+
+
+def _lay_around(center: FloatArray, extents: FloatArray, xyxy: FloatArray) -> None:
+    """Write the boxes to `xyxy`; rows that overflowed become NaN."""
+    np.subtract(center, extents, out=xyxy[:, :2].T)
+    np.add(center, extents, out=xyxy[:, 2:].T)
+    infinite = np.isinf(xyxy).any(axis=1)
+    if infinite.any():
+        xyxy[infinite] = np.nan

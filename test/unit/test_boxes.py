@@ -1,0 +1,146 @@
+"""OrientedBoxes: what it takes, what it keeps, what it refuses."""
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import xywhr
+
+from obbhbb_ros import OrientedBoxes
+from obbhbb_ros.boxes import Defect
+
+SQUARE_ON_ITS_TIP = [[2.0, 0.0], [4.0, 2.0], [2.0, 4.0], [0.0, 2.0]]
+
+
+def test_corners_of_an_upright_box_give_centre_length_width_and_angle() -> None:
+    boxes = OrientedBoxes.from_corners([[[0, 0], [10, 0], [10, 4], [0, 4]]])
+    np.testing.assert_allclose(boxes.center[:, 0], [5, 2])
+    assert (boxes.length[0], boxes.width[0], boxes.theta[0]) == (10, 4, 0)
+
+
+@given(xywhr(), st.integers(0, 3), st.booleans())
+def test_any_start_and_either_sense_of_the_corners_give_the_same_box(rows, start, turned) -> None:
+    boxes = OrientedBoxes.from_xywhr(rows)
+    corners = np.roll(boxes.corners, start, axis=1)
+    again = OrientedBoxes.from_corners(corners[:, ::-1] if turned else corners)
+    np.testing.assert_allclose(again.length, boxes.length, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(again.width, boxes.width, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(again.center, boxes.center, atol=1e-9 * 1e5)
+
+
+@given(xywhr())
+def test_swapping_the_sides_with_a_quarter_turn_changes_nothing(rows) -> None:
+    turned = rows[:, [0, 1, 3, 2, 4]] + [0, 0, 0, 0, np.pi / 2]
+    one, other = OrientedBoxes.from_xywhr(rows), OrientedBoxes.from_xywhr(turned)
+    np.testing.assert_allclose(other.length, one.length)
+    np.testing.assert_allclose(other.width, one.width)
+
+
+@given(xywhr())
+def test_the_angle_lies_in_a_half_turn(rows) -> None:
+    theta = OrientedBoxes.from_xywhr(rows).theta
+    assert ((theta >= -np.pi / 2) & (theta < np.pi / 2)).all()
+
+
+@given(st.lists(st.tuples(st.integers(0, 300), st.integers(0, 300)), min_size=3, max_size=12))
+def test_the_rectangle_of_a_polygon_covers_it_and_touches_it(points) -> None:
+    boxes = OrientedBoxes.from_polygons([points])
+    hull = shapely.convex_hull(shapely.multipoints(points))
+    if hull.area == 0:
+        assert not boxes.valid[0]
+        return
+    rectangle = shapely.polygons(boxes.corners[0])
+    assert shapely.covers(shapely.buffer(rectangle, 1e-6), hull)
+    assert shapely.area(rectangle) <= shapely.area(shapely.box(*shapely.bounds(hull))) + 1e-6
+
+
+@pytest.mark.parametrize('order', [[0, 1, 2, 3], [0, 2, 1, 3], [3, 1, 0, 2]])
+def test_the_vertices_of_a_polygon_may_come_in_any_order(order) -> None:
+    boxes = OrientedBoxes.from_polygons([np.array(SQUARE_ON_ITS_TIP)[order]])
+    np.testing.assert_allclose([boxes.length[0], boxes.width[0]], 8**0.5)
+
+
+def test_a_closed_ring_counts_its_first_vertex_once() -> None:
+    boxes = OrientedBoxes.from_polygons([[*SQUARE_ON_ITS_TIP, SQUARE_ON_ITS_TIP[0]]])
+    np.testing.assert_allclose(boxes.width, 8**0.5)
+
+
+@pytest.mark.parametrize(
+    ('row', 'defect'),
+    [
+        ([np.nan, 0, 4, 2, 0], Defect.NOT_FINITE),
+        ([0, np.inf, 4, 2, 0], Defect.NOT_FINITE),
+        ([0, 0, -np.inf, 2, 0], Defect.NOT_FINITE),
+        ([0, 0, 4, 2, np.nan], Defect.NOT_FINITE),
+        ([0, 0, -4, 2, 0], Defect.NEGATIVE_SIZE),
+        ([0, 0, 4, -2, 0], Defect.NEGATIVE_SIZE),
+        ([0, 0, 4, 0, 0], Defect.EMPTY),
+        ([0, 0, 0, 2, 0], Defect.EMPTY),
+        ([0, 0, 0, 0, 0], Defect.EMPTY),
+    ],
+)
+def test_a_box_that_is_none_is_marked_and_its_neighbours_are_not(row, defect) -> None:
+    good = [5, 5, 4, 2, 0.3]
+    boxes = OrientedBoxes.from_xywhr([good, row, good])
+    assert boxes.defects.tolist() == [Defect.NONE, defect, Defect.NONE]
+    assert np.isnan(boxes.center[:, 1]).all()
+    assert np.isfinite(boxes.center[:, [0, 2]]).all()
+
+
+@pytest.mark.parametrize(
+    ('polygon', 'defect'),
+    [
+        ([[0, 0], [1, 1]], Defect.TOO_FEW_POINTS),
+        ([[0, 0], [1, 1], [0, 0], [1, 1]], Defect.TOO_FEW_POINTS),
+        (np.empty((0, 2)), Defect.TOO_FEW_POINTS),
+        ([[0, 0], [1, 1], [2, 2]], Defect.EMPTY),
+        ([[0, 0], [1, np.nan], [2, 0]], Defect.NOT_FINITE),
+    ],
+)
+def test_a_polygon_without_a_rectangle_is_marked(polygon, defect) -> None:
+    boxes = OrientedBoxes.from_polygons([SQUARE_ON_ITS_TIP, polygon])
+    assert boxes.defects.tolist() == [Defect.NONE, defect]
+
+
+@pytest.mark.parametrize(
+    ('build', 'argument', 'name'),
+    [
+        (OrientedBoxes.from_corners, np.zeros((2, 3, 2)), 'corners'),
+        (OrientedBoxes.from_corners, np.zeros((4, 2)), 'corners'),
+        (OrientedBoxes.from_xywhr, np.zeros((2, 4)), 'xywhr'),
+        (OrientedBoxes.from_xywhr, np.zeros(5), 'xywhr'),
+        (OrientedBoxes.from_xywhr, [['a'] * 5], 'xywhr'),
+        (OrientedBoxes.from_polygons, [SQUARE_ON_ITS_TIP, [[1, 2, 3]]], r'polygons\[1\]'),
+    ],
+)
+def test_a_wrong_shape_is_an_error_that_names_the_argument(build, argument, name) -> None:
+    with pytest.raises(ValueError, match=f'^{name} must'):
+        build(argument)
+
+
+@pytest.mark.parametrize(
+    'boxes',
+    [
+        OrientedBoxes.from_corners(np.empty((0, 4, 2))),
+        OrientedBoxes.from_xywhr([]),
+        OrientedBoxes.from_polygons([]),
+    ],
+)
+def test_no_boxes_are_boxes_too(boxes) -> None:
+    assert len(boxes) == 0
+    assert boxes.corners.shape == (0, 4, 2)
+
+
+def test_a_box_about_the_origin_is_as_good_as_any() -> None:
+    assert OrientedBoxes.from_xywhr([[0, 0, 4, 2, 0]]).valid.all()
+
+
+def test_the_input_arrays_are_never_changed() -> None:
+    rows = np.array([[1.0, 2, -3, 4, 0.5], [1, 2, 3, 4, 0.5]])
+    before = rows.copy()
+    OrientedBoxes.from_xywhr(rows)
+    np.testing.assert_array_equal(rows, before)
+    corners = np.full((1, 4, 2), np.nan)
+    OrientedBoxes.from_corners(corners)
+    assert np.isnan(corners).all()
