@@ -1,0 +1,79 @@
+"""The size of the image that a label file belongs to, for formats that do not tell it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+from obbhbb_ros.labels.files import IMAGE_SUFFIXES
+from obbhbb_ros.labels.records import LabelError
+
+ADVICE = 'pass image_size=(width, height)'
+EXIF_ORIENTATION = 0x0112
+EXIF_TURNED = (5, 6, 7, 8)
+
+
+def stored_size(labels: Path) -> tuple[int, int]:
+    """
+    Read width and height of the image that belongs to a label file.
+
+    The image has the same stem and lies beside the label file, or where Ultralytics keeps it:
+    in the folder that has ``images`` for the last ``labels`` in the path.
+
+    Parameters
+    ----------
+    labels : Path
+        The label file.
+
+    Returns
+    -------
+    tuple of int
+        Width and height in pixels, as the image is shown (EXIF orientation of JPEG applied).
+
+    Raises
+    ------
+    LabelError
+        If there is no such image, it cannot be read, or Pillow is not installed.
+    """
+    image = _image_of(labels)
+    if image is None:
+        raise LabelError(labels, None, f'no image beside it or in images/ to size it: {ADVICE}')
+    try:
+        return _shown_size(image)
+    except ImportError:
+        message = f'the size of {image} takes Pillow, which is not installed: {ADVICE}'
+        raise LabelError(labels, None, message) from None
+    except Exception as error:
+        # As wide as that because Pillow's readers raise whatever a damaged file leads them to.
+        raise LabelError(labels, None, f'cannot read {image} ({error}): {ADVICE}') from error
+
+
+def _image_of(labels: Path) -> Path | None:
+    for folder in _image_folders(labels.absolute().parent):
+        for suffix in IMAGE_SUFFIXES:
+            for name in (f'{labels.stem}{suffix}', f'{labels.stem}{suffix.upper()}'):
+                if (folder / name).is_file():
+                    return folder / name
+    return None
+
+
+def _image_folders(folder: Path) -> Iterator[Path]:
+    yield folder
+    parts = folder.parts
+    if 'labels' in parts:
+        last = len(parts) - 1 - parts[::-1].index('labels')
+        yield Path(*parts[:last], 'images', *parts[last + 1 :])
+
+
+def _shown_size(path: Path) -> tuple[int, int]:
+    from PIL import Image
+
+    with warnings.catch_warnings():
+        # Pillow warns of large images; nothing is decoded here, and satellite scenes are large.
+        warnings.simplefilter('ignore', Image.DecompressionBombWarning)
+        with Image.open(path) as image:
+            width, height = image.size
+            # Only for JPEG: of other formats Pillow may decode the whole image to find it.
+            turned = image.format == 'JPEG' and image.getexif().get(EXIF_ORIENTATION) in EXIF_TURNED
+    return (height, width) if turned else (width, height)

@@ -1,0 +1,149 @@
+"""Text label files: lines and numbers in, lines out."""
+
+from __future__ import annotations
+
+import codecs
+import math
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
+from pathlib import Path
+
+from obbhbb_ros.labels.records import Box
+from obbhbb_ros.labels.records import LabelError
+from obbhbb_ros.labels.records import OnError
+
+
+def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
+    """
+    Read the lines of a UTF-8 file, with or without BOM, ended by LF, CRLF or CR.
+
+    Lines are decoded one by one, so that one damaged line does not take the file with it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    on_error : callable
+        Gets a LabelError for each line that is not UTF-8; that line is left out.
+
+    Yields
+    ------
+    tuple of int and str
+        Line number, counted from 1, and the line without its end.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    data = path.read_bytes().removeprefix(codecs.BOM_UTF8)
+    for number, raw in enumerate(data.splitlines(), start=1):
+        try:
+            line = raw.decode()
+        except UnicodeDecodeError as error:
+            bad = f'byte 0x{raw[error.start]:02x} at position {error.start + 1}'
+            on_error(LabelError(path, number, f'not UTF-8 text: {bad}'))
+        else:
+            yield number, line
+
+
+def read_boxes(path: Path, on_error: OnError, parse: Callable[[str], Box | None]) -> list[Box]:
+    """
+    Parse a file of one record a line; blank lines mean nothing.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    on_error : callable
+        Gets a LabelError for each line that `parse` refuses; that line is left out.
+    parse : callable
+        Line to Box, or to None where the line holds no box; raises ValueError where malformed.
+
+    Returns
+    -------
+    list of Box
+        In the order of the file.
+    """
+    boxes = []
+    for number, line in text_lines(path, on_error):
+        if not line.strip():
+            continue
+        try:
+            box = parse(line)
+        except ValueError as error:
+            on_error(LabelError(path, number, str(error)))
+            continue
+        if box is not None:
+            boxes.append(box)
+    return boxes
+
+
+def parse_numbers(fields: Iterable[str]) -> list[float]:
+    """
+    Turn fields into finite numbers.
+
+    Raises
+    ------
+    ValueError
+        If a field is not a number, is NaN or is infinite.
+    """
+    return [_number(field) for field in fields]
+
+
+def _number(field: str) -> float:
+    # float() also takes Python's 1_000, which no label format knows.
+    try:
+        value = float('' if '_' in field else field)
+    except ValueError:
+        raise ValueError(f'{field!r} is not a number') from None
+    if not math.isfinite(value):
+        raise ValueError(f'{field!r} is not a finite number')
+    return value
+
+
+def is_number(field: str) -> bool:
+    """Tell whether a field reads as a finite number."""
+    try:
+        _number(field)
+    except ValueError:
+        return False
+    return True
+
+
+def is_index(field: str) -> bool:
+    """Tell whether a field is a whole number from 0, as class indices are."""
+    return field.isascii() and field.isdigit()
+
+
+def is_normalised(values: Iterable[float]) -> bool:
+    """
+    Tell whether coordinates may be fractions of an image.
+
+    Boxes at the border may reach out of the image, but one that lies a whole image away from it
+    was not normalised.
+    """
+    return all(-1.0 <= value <= 2.0 for value in values)
+
+
+def join_numbers(values: Iterable[float]) -> str:
+    """Join Python floats with spaces, each as the shortest text that reads back as the same."""
+    return ' '.join(map(repr, values))
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """
+    Write lines as UTF-8 with LF ends, making the folders above.
+
+    The text is complete before the file is opened: whatever fails on the way to it leaves an
+    older file as it was.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    data = ''.join(f'{line}\n' for line in lines).encode()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)

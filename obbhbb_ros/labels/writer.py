@@ -1,0 +1,93 @@
+"""The one way to write labels, whatever their format."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from obbhbb_ros.labels.format import Format
+from obbhbb_ros.labels.format import Write
+from obbhbb_ros.labels.format import names
+from obbhbb_ros.labels.records import MIN_HULL_POINTS
+from obbhbb_ros.labels.records import FloatArray
+from obbhbb_ros.labels.records import ImageLabels
+from obbhbb_ros.labels.registry import FORMATS
+from obbhbb_ros.labels.registry import format_named
+from obbhbb_ros.labels.registry import formats_for
+
+
+def write_labels(
+    path: str | os.PathLike[str],
+    images: Iterable[ImageLabels],
+    format: str | None = None,  # noqa: A002
+) -> None:
+    """
+    Write labels to a file or, in formats of one image a file, to a folder.
+
+    All labels are checked and turned into text before the first file is opened, so `images` may
+    come from `read_labels` of the same path. What a format cannot hold is left out.
+
+    Parameters
+    ----------
+    path : path-like
+        File or folder; folders on the way to it are made. A folder of label files gets one file
+        an image, named after it without folder and image suffix; files of other images in it
+        stay. A single image may also go to a file.
+    images : iterable of ImageLabels
+        The images.
+    format : str, optional
+        Name of one of `FORMATS`; may be left out where the suffix of `path` says it.
+
+    Raises
+    ------
+    ValueError
+        If the format is unknown, read-only or not to be told from the suffix; if a number is not
+        finite (a row of `reference` may be NaN as a whole) or a hull has fewer than three points;
+        if the format cannot hold a name or value. Nothing is written then.
+    OSError
+        If a file cannot be written.
+    """
+    path = Path(path)
+    write = _writer(path, format)
+    checked = list(images)
+    for labels in checked:
+        _check(labels)
+    write(path, checked)
+
+
+def _writer(path: Path, name: str | None) -> Write:
+    chosen = _format_by_suffix(path) if name is None else format_named(name)
+    if chosen.write is None:
+        raise ValueError(f'label format {chosen.name!r} is read-only: writable are {_writable()}')
+    return chosen.write
+
+
+def _format_by_suffix(path: Path) -> Format:
+    candidates = [each for each in formats_for(path.suffix) if each.write is not None]
+    if len(candidates) != 1:
+        raise ValueError(f'{path}: name the label format to write: {_writable()}')
+    return candidates[0]
+
+
+def _writable() -> str:
+    return names(each for each in FORMATS.values() if each.write is not None)
+
+
+def _check(labels: ImageLabels) -> None:
+    hulls = [hull for hull in labels.hulls if hull is not None]
+    referenced = ~np.isnan(labels.reference).all(axis=1)
+    _check_finite(labels, 'corners', labels.corners)
+    _check_finite(labels, 'scores', labels.scores)
+    _check_finite(labels, 'reference', labels.reference[referenced])
+    for hull in hulls:
+        _check_finite(labels, 'hulls', hull)
+        if hull.ndim != 2 or hull.shape[1] != 2 or len(hull) < MIN_HULL_POINTS:
+            raise ValueError(f'image {labels.image!r}: a hull has shape {hull.shape}')
+
+
+def _check_finite(labels: ImageLabels, name: str, values: FloatArray) -> None:
+    if not np.isfinite(values).all():
+        raise ValueError(f'image {labels.image!r}: {name} has a value that is not finite')

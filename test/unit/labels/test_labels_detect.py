@@ -1,0 +1,121 @@
+"""Telling the format of a path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from obbhbb_ros.labels import FORMATS
+from obbhbb_ros.labels import LabelError
+from obbhbb_ros.labels import detect_format
+
+if TYPE_CHECKING:
+    from conftest import Put
+
+DOTA = '2753 2408 2861 2385 2888 2468 2805 2502 ship 0\n'
+YOLO = '0 0.780811 0.743961 0.782371 0.74686 0.777691 0.752174 0.776131 0.749758\n'
+CSV = 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\n'
+
+
+def test_the_registry_names_each_format_as_it_names_itself() -> None:
+    assert list(FORMATS) == ['dota', 'yolo_obb', 'csv']
+    for name, entry in FORMATS.items():
+        assert entry.name == name
+        assert entry.summary
+        assert all(suffix == suffix.lower() and suffix[0] == '.' for suffix in entry.suffixes)
+
+
+@pytest.mark.parametrize(
+    ('name', 'text', 'expected'),
+    [
+        ('a.txt', DOTA, 'dota'),
+        ('a.txt', DOTA.replace(' 0\n', '\n'), 'dota'),
+        ('a.txt', DOTA.replace(' ', ', '), 'dota'),
+        ('a.txt', f'imagesource:GoogleEarth\ngsd:0.146343590398\n{DOTA}', 'dota'),
+        ('a.txt', 'gsd:null\n', 'dota'),
+        ('a.txt', '0.1 0.2 0.5 0.2 0.5 0.3 0.1 0.3 ship 0\n', 'dota'),
+        ('a.txt', DOTA.replace('ship', '3'), 'dota'),
+        ('a.txt', '0 3 0 1 1 1 1 1 5 0\n', 'dota'),
+        ('a.txt', '0 2 0 -1 1 1 1 1 2\n', 'yolo_obb'),
+        ('a.txt', YOLO, 'yolo_obb'),
+        ('a.txt', YOLO.replace('\n', ' 0.93\n'), 'yolo_obb'),
+        ('a.txt', YOLO.replace('\n', ' 0.93 17\n'), 'yolo_obb'),
+        ('a.txt', '14 -0.05 0 1 0 1 1 -0.05 1\n', 'yolo_obb'),
+        ('a.TXT', f'\n\n  \n{YOLO}', 'yolo_obb'),
+        ('a.txt', f'\ufeff{YOLO}', 'yolo_obb'),
+        ('a.csv', CSV, 'csv'),
+        ('a.CSV', f'\ufeff\n{CSV}', 'csv'),
+        ('a.csv', 'image,what\n', 'csv'),
+        ('a.csv', '', 'csv'),
+    ],
+)
+def test_a_file_is_told_by_suffix_and_content(
+    put: Put, name: str, text: str, expected: str
+) -> None:
+    assert detect_format(put(name, text)) == expected
+
+
+def test_a_blank_file_counts_as_the_first_format_of_its_suffix(put: Put) -> None:
+    assert detect_format(put('a.txt', '\n')) == 'dota'
+
+
+@pytest.mark.parametrize(
+    ('name', 'text'),
+    [
+        ('a.txt', 'ship\n'),
+        ('a.txt', '0 0.5 0.5 0.1 0.1\n'),
+        ('a.txt', f'{DOTA}{YOLO}'),
+        ('a.json', '{}'),
+        ('labels', DOTA),
+    ],
+    ids=['words', 'YOLO boxes that are not oriented', 'both', 'suffix', 'no suffix'],
+)
+def test_what_cannot_be_told_is_refused_with_the_path_and_the_formats(
+    put: Put, name: str, text: str
+) -> None:
+    path = put(name, text)
+    with pytest.raises(ValueError, match=r'cannot tell.*dota \(\.txt\).*yolo_obb.*csv') as caught:
+        detect_format(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_folder_is_told_by_the_first_file_that_can_be(put: Put, tmp_path: Path) -> None:
+    put('a.txt', '')
+    put('b.txt', 'train/a.png\n')
+    put('c.txt', YOLO)
+    put('classes.txt', 'ship\n')
+    put('results.csv', 'epoch,loss\n')
+    assert detect_format(str(tmp_path)) == 'yolo_obb'
+
+
+def test_a_folder_of_blank_files_beside_its_classes_is_told(put: Put, tmp_path: Path) -> None:
+    put('a.txt', '')
+    put('classes.txt', 'ship\n')
+    assert detect_format(tmp_path) == 'dota'
+
+
+def test_a_folder_of_several_formats_asks_for_a_name(put: Put, tmp_path: Path) -> None:
+    put('a.txt', DOTA)
+    put('all.csv', CSV)
+    with pytest.raises(ValueError, match='more than one label format') as caught:
+        detect_format(tmp_path)
+    assert str(tmp_path) in str(caught.value)
+
+
+def test_a_folder_of_unknown_text_is_refused(put: Put, tmp_path: Path) -> None:
+    put('a.txt', 'hello\n')
+    put('b.txt', '')
+    with pytest.raises(ValueError, match='cannot tell'):
+        detect_format(tmp_path)
+
+
+def test_a_folder_without_label_files_says_so(tmp_path: Path) -> None:
+    with pytest.raises(LabelError, match='no label file'):
+        detect_format(tmp_path)
+
+
+def test_a_missing_path_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match='nowhere'):
+        detect_format(tmp_path / 'nowhere')

@@ -1,0 +1,72 @@
+"""What a record of labels and an error are."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.labels import LabelError
+from obbhbb_ros.labels.records import assemble
+
+FIELDS = {
+    'image': 'P0706',
+    'corners': np.zeros((2, 4, 2)),
+    'class_ids': ('ship', 'ship'),
+    'ids': ('', ''),
+    'scores': np.ones(2),
+    'reference': np.full((2, 4), np.nan),
+    'hulls': (None, None),
+    'size': None,
+    'source': Path('P0706.txt'),
+}
+
+
+def test_fields_that_agree_make_a_record() -> None:
+    labels = ImageLabels(**FIELDS)
+    assert labels.corners is FIELDS['corners']
+
+
+@pytest.mark.parametrize(
+    ('field', 'value'),
+    [
+        ('corners', np.zeros((2, 8))),
+        ('corners', np.zeros((3, 4, 2))),
+        ('scores', np.ones((2, 1))),
+        ('reference', np.zeros((1, 4))),
+        ('ids', ('',)),
+        ('hulls', ()),
+        ('class_ids', ('ship',)),
+    ],
+)
+def test_fields_that_disagree_are_refused(field: str, value: object) -> None:
+    with pytest.raises(ValueError, match='class_ids'):
+        ImageLabels(**{**FIELDS, field: value})
+
+
+def test_an_image_without_boxes_keeps_the_shapes() -> None:
+    labels = assemble('P0706', [], (640, 480), Path('P0706.txt'))
+    assert labels.corners.shape == (0, 4, 2)
+    assert labels.scores.shape == (0,)
+    assert labels.reference.shape == (0, 4)
+    assert labels.class_ids == labels.ids == labels.hulls == ()
+    assert labels.size == (640, 480)
+
+
+@pytest.mark.parametrize(
+    ('line', 'text'),
+    [(7, 'labels/a.txt:7: 3 fields'), (None, 'labels/a.txt: 3 fields')],
+)
+def test_an_error_reads_as_path_line_message(line: int | None, text: str) -> None:
+    error = LabelError(Path('labels/a.txt'), line, '3 fields')
+    assert isinstance(error, ValueError)
+    assert str(error) == text
+    assert (error.path, error.line, error.message) == (Path('labels/a.txt'), line, '3 fields')
+
+
+def test_an_error_survives_the_way_between_processes() -> None:
+    error = pickle.loads(pickle.dumps(LabelError(Path('a.txt'), 3, 'no')))
+    assert str(error) == 'a.txt:3: no'

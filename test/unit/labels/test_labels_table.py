@@ -1,0 +1,243 @@
+"""The CSV table of many images."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.labels import LabelError
+from obbhbb_ros.labels import read_labels
+from obbhbb_ros.labels import write_labels
+from obbhbb_ros.labels.records import NO_REFERENCE
+from obbhbb_ros.labels.records import Box
+from obbhbb_ros.labels.records import assemble
+
+if TYPE_CHECKING:
+    from conftest import Make
+    from conftest import Put
+    from conftest import Same
+
+HEADER = 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4,hx1,hy1,hx2,hy2,mask'
+BOX = '10,20,50,20,50,30,10,30'
+CORNERS = [[10, 20], [50, 20], [50, 30], [10, 30]]
+FULL = f'b.jpg,7,ship,{BOX},11,21,49,29,11 25;30 21;49.5 25;30 29'
+BARE = f'b.jpg,,,{BOX},,,,,'
+
+
+def _table(*rows: str) -> str:
+    return ''.join(f'{row}\n' for row in rows)
+
+
+def test_a_full_row_is_read(put: Put) -> None:
+    (labels,) = read_labels(put('all.csv', _table(HEADER, FULL)))
+    assert labels.image == 'b.jpg'
+    assert labels.ids == ('7',)
+    assert labels.class_ids == ('ship',)
+    assert labels.corners.tolist() == [CORNERS]
+    assert labels.reference.tolist() == [[11, 21, 49, 29]]
+    assert labels.hulls[0] is not None
+    assert labels.hulls[0].tolist() == [[11, 25], [30, 21], [49.5, 25], [30, 29]]
+    assert labels.scores.tolist() == [1.0]
+
+
+def test_a_row_without_reference_and_mask_is_read(put: Put) -> None:
+    (labels,) = read_labels(put('all.csv', _table(HEADER, FULL, BARE)))
+    assert labels.ids == ('7', '')
+    assert np.isnan(labels.reference).tolist() == [[False] * 4, [True] * 4]
+    assert labels.hulls[1] is None
+
+
+def test_columns_may_be_absent_in_any_order_and_more_than_known(put: Put) -> None:
+    header = 'note,y4,x4,y3,x3,y2,x2,y1,x1,score, class ,instance,image'
+    row = 'whatever,30,10,30,50,20,50,20,10,0.25,ship,7,b.jpg'
+    (labels,) = read_labels(put('all.csv', _table(header, row)))
+    assert (labels.image, labels.ids, labels.class_ids) == ('b.jpg', ('7',), ('ship',))
+    assert labels.corners.tolist() == [CORNERS]
+    assert labels.scores.tolist() == [0.25]
+    assert np.isnan(labels.reference).all()
+    assert labels.hulls == (None,)
+
+
+def test_an_empty_score_counts_as_1(put: Put) -> None:
+    (labels,) = read_labels(put('all.csv', _table(f'{HEADER},score', f'{FULL},', f'{FULL},0.5')))
+    assert labels.scores.tolist() == [1.0, 0.5]
+
+
+def test_rows_are_grouped_by_image_in_order_of_first_appearance(put: Put) -> None:
+    rows = [f'{image},{index},ship,{BOX},,,,,' for index, image in enumerate('cabacc')]
+    images = read_labels(put('all.csv', _table(HEADER, *rows)))
+    assert [(each.image, ''.join(each.ids)) for each in images] == [
+        ('c', '045'), ('a', '13'), ('b', '2'),
+    ]  # fmt: skip
+
+
+def test_quoted_fields_are_read_as_csv_has_them(put: Put) -> None:
+    row = f'"P0706@0,0=a ""b""",0,"ship, large",{BOX},,,,,'
+    (labels,) = read_labels(put('all.csv', _table(HEADER, row)))
+    assert labels.image == 'P0706@0,0=a "b"'
+    assert labels.class_ids == ('ship, large',)
+
+
+def test_a_row_of_an_image_name_alone_is_an_image_without_boxes(put: Put) -> None:
+    empty, full = read_labels(put('all.csv', _table(HEADER, f'a.jpg{"," * 15}', FULL)))
+    assert (empty.image, empty.corners.shape) == ('a.jpg', (0, 4, 2))
+    assert (full.image, full.corners.shape) == ('b.jpg', (1, 4, 2))
+
+
+def test_a_header_alone_is_no_image(put: Put) -> None:
+    assert list(read_labels(put('all.csv', _table(HEADER)))) == []
+
+
+@pytest.mark.parametrize(
+    ('header', 'message'),
+    [
+        (HEADER.replace('class,', '').replace('x3,', ''), 'missing columns: class, x3 '),
+        (HEADER.replace('image', 'file'), 'missing columns: image '),
+        (HEADER.replace('hy1,', ''), 'missing columns: hy1 '),
+        (HEADER.replace(',', ';'), 'missing columns: image, instance, class, x1, '),
+        (f'{HEADER},x1', 'columns named more than once: x1'),
+        (f'{HEADER},"x', 'not a CSV row'),
+    ],
+)
+def test_a_header_that_does_not_serve_is_an_error(put: Put, header: str, message: str) -> None:
+    path = put('all.csv', _table('', header, FULL))
+    with pytest.raises(LabelError) as caught:
+        list(read_labels(path))
+    assert (caught.value.path, caught.value.line) == (path, 2)
+    assert message in caught.value.message
+
+
+def test_a_table_without_a_header_is_an_error_that_names_the_columns(put: Put) -> None:
+    with pytest.raises(LabelError, match=r'all\.csv: missing columns: image, instance, class, x1'):
+        list(read_labels(put('all.csv', '')))
+
+
+def test_with_on_error_the_other_tables_of_a_folder_are_read(put: Put, tmp_path: Path) -> None:
+    put('1.csv', _table('image,x1', 'a,1', 'a,2'))
+    put('2.csv', _table(HEADER, FULL))
+    errors: list[LabelError] = []
+    assert [each.image for each in read_labels(tmp_path, on_error=errors.append)] == ['b.jpg']
+    assert [(error.path.name, error.line) for error in errors] == [('1.csv', 1)]
+
+
+@pytest.mark.parametrize(
+    ('row', 'message'),
+    [
+        (f'b.jpg,7,ship,{BOX}', '11 fields, the header has 16'),
+        (f'{FULL},', '17 fields, the header has 16'),
+        (FULL.replace('b.jpg', ''), 'no image name'),
+        (FULL.replace('50,20', '50,'), "'' is not a number"),
+        (f'b.jpg,7,ship{"," * 13}', "'' is not a number"),
+        (FULL.replace('50,20', '50,x'), "'x' is not a number"),
+        (FULL.replace('50,20', '50,nan'), "'nan' is not a finite number"),
+        (FULL.replace('49,29', '49,'), "'' is not a number"),
+        (FULL.replace('49,29', 'inf,29'), "'inf' is not a finite number"),
+        (FULL.replace('49.5 25', '49.5'), 'mask is not a polygon'),
+        (FULL.replace('49.5 25', '49.5 25 30 21'), 'mask is not a polygon'),
+        (FULL.replace('49.5 25', 'x 25'), "'x' is not a number"),
+        (f'b.jpg,7,ship,{BOX},,,,,1 2;3 4', 'mask is not a polygon'),
+        (f'"{FULL}', 'not a CSV row'),
+        (f'"b"c,7,ship,{BOX},,,,,', 'not a CSV row'),
+    ],
+)
+def test_a_malformed_row_is_an_error_that_costs_this_row_only(
+    put: Put, row: str, message: str
+) -> None:
+    path = put('all.csv', _table(HEADER, FULL, '', row, FULL))
+    errors: list[LabelError] = []
+    (labels,) = read_labels(path, on_error=errors.append)
+    assert len(labels.ids) == 2
+    assert [(error.path, error.line) for error in errors] == [(path, 4)]
+    assert message in errors[0].message
+
+
+@pytest.mark.parametrize('score', ['x', 'nan'])
+def test_a_score_has_to_be_a_finite_number(put: Put, score: str) -> None:
+    path = put('all.csv', _table(f'{HEADER},score', f'{FULL},{score}'))
+    with pytest.raises(LabelError, match=rf":2: '{score}' is not a"):
+        list(read_labels(path))
+
+
+def test_a_hull_may_be_longer_than_the_fields_that_csv_allows(make: Make, tmp_path: Path) -> None:
+    hull = np.random.default_rng(0).random((8000, 2))
+    box = Box((0.0,) * 8, 'ship', hull=hull)
+    write_labels(tmp_path / 'all.csv', [make('a', box)])
+    assert (tmp_path / 'all.csv').stat().st_size > csv.field_size_limit()
+    (labels,) = read_labels(tmp_path / 'all.csv')
+    np.testing.assert_array_equal(labels.hulls[0], hull)
+
+
+def test_a_table_is_written_with_the_columns_it_is_read_by(make: Make, tmp_path: Path) -> None:
+    hull = np.array([[0.1, 0.0], [1.0, 0.0], [1.0, 1.5]])
+    box = Box((10, 20, 50, 20, 50, 30, 10, 30), 'ship', '7', 1.0, (11, 21, 49, 29), hull)
+    write_labels(tmp_path / 'all.csv', [make('a,b', box), make('c')])
+    assert (tmp_path / 'all.csv').read_text() == _table(
+        HEADER,
+        '"a,b",7,ship,10.0,20.0,50.0,20.0,50.0,30.0,10.0,30.0,11.0,21.0,49.0,29.0,'
+        '0.1 0.0;1.0 0.0;1.0 1.5',
+        'c,,ship,10.0,20.0,50.0,20.0,50.0,30.0,10.0,30.0,,,,,',
+    )
+
+
+def test_scores_are_written_where_they_say_something(make: Make, tmp_path: Path) -> None:
+    write_labels(tmp_path / 'all.csv', [make('a'), make('b', Box((0.0,) * 8, 'ship', score=0.5))])
+    lines = (tmp_path / 'all.csv').read_text().splitlines()
+    assert [line.rpartition(',')[2] for line in lines] == ['score', '1.0', '0.5']
+
+
+@pytest.mark.parametrize(
+    ('image', 'box'),
+    [
+        ('', Box((0.0,) * 8, 'ship')),
+        ('a\nb', Box((0.0,) * 8, 'ship')),
+        ('a', Box((0.0,) * 8, 'ship\r')),
+        ('a', Box((0.0,) * 8, 'ship', '1\r\n2')),
+    ],
+)
+def test_text_that_is_no_part_of_a_line_cannot_be_written(
+    make: Make, tmp_path: Path, image: str, box: Box
+) -> None:
+    with pytest.raises(ValueError, match=r'without a name|line break'):
+        write_labels(tmp_path / 'all.csv', [make('good'), make(image, box)])
+    assert list(tmp_path.iterdir()) == []
+
+
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+POINTS = st.lists(st.tuples(NUMBERS, NUMBERS), min_size=3, max_size=6)
+TEXT = st.text(st.characters(exclude_categories=('Cs', 'Cc')), max_size=10)
+BOXES = st.builds(
+    Box,
+    corners=st.tuples(*[NUMBERS] * 8),
+    class_id=TEXT,
+    id=TEXT,
+    score=st.just(1.0) | NUMBERS,
+    reference=st.just(NO_REFERENCE) | st.tuples(*[NUMBERS] * 4),
+    hull=st.none() | POINTS.map(lambda points: np.array(points, dtype=np.float64)),
+)
+IMAGES = st.lists(
+    st.builds(
+        assemble,
+        TEXT.filter(bool),
+        st.lists(BOXES, max_size=4),
+        st.none(),
+        st.just(Path('made.by')),
+    ),
+    max_size=4,
+    unique_by=lambda labels: labels.image,
+)
+
+
+@given(images=IMAGES)
+def test_what_is_written_is_read_back_to_the_bit(
+    images: list[ImageLabels], assert_same: Same, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp('table') / 'all.csv'
+    write_labels(path, images)
+    assert_same(list(read_labels(path)), images)
