@@ -1,0 +1,45 @@
+"""Launch the conversion node: `ros2 launch obbhbb_ros obb_to_hbb.launch.py --show-args`."""
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import LifecycleNode
+
+from launch import LaunchDescription
+
+TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions')
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Describe the node, with its parameter file, namespace, remaps and log level as arguments."""
+    share = get_package_share_directory('obbhbb_ros')
+    arguments = [
+        DeclareLaunchArgument(
+            'params_file', default_value=f'{share}/config/obb_to_hbb.yaml',
+            description='YAML file with parameters of the node',
+        ),
+        DeclareLaunchArgument(
+            'name', default_value='obb_to_hbb', description='name of the node',
+        ),
+        DeclareLaunchArgument(
+            'namespace', default_value='', description='namespace of the node and its topics',
+        ),
+        DeclareLaunchArgument('log_level', default_value='info', description='log level'),
+    ]
+    arguments += [
+        DeclareLaunchArgument(
+            topic, default_value=topic, description=f'topic to use for `{topic}`',
+        )
+        for topic in TOPICS
+    ]
+    node = LifecycleNode(
+        package='obbhbb_ros',
+        executable='obb_to_hbb',
+        name=LaunchConfiguration('name'),
+        namespace=LaunchConfiguration('namespace'),
+        parameters=[LaunchConfiguration('params_file')],
+        remappings=[(topic, LaunchConfiguration(topic)) for topic in TOPICS],
+        arguments=['--ros-args', '--log-level', LaunchConfiguration('log_level')],
+        output='screen',
+    )
+    return LaunchDescription([*arguments, node])

@@ -1,0 +1,174 @@
+"""
+The parameter tables as YAML files and as Markdown.
+
+`python -m obbhbb_ros.nodes.documentation` rewrites `config/` and the tables in the README of the
+checkout that it is run in; a test holds them equal.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import textwrap
+from collections.abc import Mapping
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from obbhbb_ros.labels import FORMATS
+from obbhbb_ros.methods import METHODS
+from obbhbb_ros.nodes import play_detections
+from obbhbb_ros.nodes.parameters import ParameterSpec
+from obbhbb_ros.nodes.settings import CLASS_TABLE
+from obbhbb_ros.nodes.settings import TABLE
+
+PAPER = {'method': 'shape_aware', 'q': 2.2, 'f': 0.9, 's': 1.0}
+_INDENT = ' ' * 4
+_COLUMNS = 100
+
+
+def yaml_file(title: str, values: Mapping[str, Any], table: Sequence[ParameterSpec]) -> str:
+    """
+    Write a parameter file with every parameter and its comment.
+
+    Parameters
+    ----------
+    title : str
+        First comment.
+    values : mapping of str to value
+        What differs from the defaults.
+    table : sequence of ParameterSpec
+        The node's rows.
+
+    Returns
+    -------
+    str
+        YAML that `--params-file` takes, for a node of any name in any namespace.
+    """
+    lines = [*_comment(title, ''), '/**:', '  ros__parameters:']
+    group = ''
+    for spec in table:
+        prefix, _, name = spec.name.rpartition('.')
+        if prefix != group:
+            lines.append(f'{_INDENT}{prefix}:')
+            group = prefix
+        indent = _INDENT + ('  ' if group else '')
+        lines += _comment(_note(spec), indent)
+        lines.append(f'{indent}{name}: {yaml_value(values.get(spec.name, spec.default))}')
+    return '\n'.join(lines) + '\n'
+
+
+def yaml_value(value: Any) -> str:
+    """Write one value so that ROS reads it back with its type."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return '.nan' if math.isnan(value) else f'{"-" if value < 0 else ""}.inf'
+    return json.dumps(value)
+
+
+def markdown_table(table: Sequence[ParameterSpec]) -> str:
+    """Write the rows as a Markdown table."""
+    rows = [
+        (
+            f'`{spec.name}`', spec.type_name, f'`{yaml_value(spec.default)}`', spec.range_text,
+            spec.meaning + (' Only at start.' if spec.read_only else ''),
+        )
+        for spec in table
+    ]
+    return rows_table(('parameter', 'type', 'default', 'range', 'meaning'), rows)
+
+
+def rows_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Write rows of cells as a Markdown table."""
+    lines = [head, ['---'] * len(head), *rows]
+    return ''.join('| ' + ' | '.join(line) + ' |\n' for line in lines)
+
+
+def with_table(document: str, name: str, table: str) -> str:
+    """
+    Put a table between the markers that name its place in a document.
+
+    Raises
+    ------
+    ValueError
+        If the document has no such place.
+    """
+    begin, end = f'<!-- {name}: begin -->\n', f'<!-- {name}: end -->'
+    before, found, rest = document.partition(begin)
+    _, closed, after = rest.partition(end)
+    if not (found and closed):
+        raise ValueError(f'no place for the table {name!r} in the document')
+    return before + begin + table + end + after
+
+
+def readme_tables() -> dict[str, str]:
+    """Write the README's tables, by the name of their place in it."""
+    methods = [
+        (f'`{m.name}`', m.summary, 'q, f, s' if m.tunable else '', 'yes' if m.onboard else '')
+        for m in METHODS.values()
+    ]
+    formats = [
+        (f'`{f.name}`', ', '.join(f'`{suffix}`' for suffix in f.suffixes), f.summary)
+        for f in FORMATS.values()
+    ]
+    return {
+        'methods': rows_table(('method', 'what it encloses', 'tuned by', 'in the node'), methods),
+        'obb_to_hbb parameters': markdown_table(TABLE + CLASS_TABLE),
+        'play_detections parameters': markdown_table(play_detections.TABLE),
+        'formats': rows_table(('format', 'files', 'what it is'), formats),
+    }
+
+
+def documents(root: Path) -> dict[Path, str]:
+    """
+    Write every file that follows from the tables.
+
+    Parameters
+    ----------
+    root : Path
+        Top folder of a checkout.
+
+    Returns
+    -------
+    dict of Path to str
+        What each file should hold.
+    """
+    readme = root / 'README.md'
+    text = readme.read_text(encoding='utf-8')
+    for name, table in readme_tables().items():
+        text = with_table(text, name, table)
+    return {
+        root / 'config' / 'obb_to_hbb.yaml': yaml_file(
+            'obb_to_hbb: the recommended settings. Every parameter is here.', {}, TABLE
+        ),
+        root / 'config' / 'paper.yaml': yaml_file(
+            "obb_to_hbb: the paper's rule (Algorithm 1) with its best-found parameters.",
+            PAPER, TABLE,
+        ),
+        readme: text,
+    }
+
+
+def _note(spec: ParameterSpec) -> str:
+    """Write meaning and range of a parameter."""
+    note = spec.meaning
+    if spec.range_text:
+        note += f' [{spec.range_text.replace("`", "")}]'
+    return note
+
+
+def _comment(text: str, indent: str) -> list[str]:
+    """Wrap a comment."""
+    return textwrap.wrap(
+        text, _COLUMNS, initial_indent=indent + '# ', subsequent_indent=indent + '# '
+    )
+
+
+def main() -> None:
+    """Rewrite the files of the checkout in the working folder."""
+    for path, text in documents(Path.cwd()).items():
+        path.write_text(text, encoding='utf-8')
+        print(path)
+
+
+if __name__ == '__main__':
+    main()

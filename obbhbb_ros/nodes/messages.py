@@ -1,0 +1,188 @@
+"""Typed messages <-> arrays: the path that takes whatever the byte-level one declines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PolygonStamped
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo
+from vision_msgs.msg import BoundingBox2D
+from vision_msgs.msg import Detection2D
+from vision_msgs.msg import Detection2DArray
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.crops import CropPlan
+from obbhbb_ros.nodes.settings import DETECTIONS
+from obbhbb_ros.nodes.settings import POLYGON
+from obbhbb_ros.nodes.settings import POLYGONS
+
+
+def message_type(input_type: str) -> Any:
+    """
+    Give the message class of an input type.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If the package that defines it is not installed.
+    """
+    if input_type == POLYGONS:
+        # Only here: whoever feeds detections needs no polygon_msgs.
+        from polygon_msgs.msg import Polygon2DCollection
+
+        return Polygon2DCollection
+    return {DETECTIONS: Detection2DArray, POLYGON: PolygonStamped}[input_type]
+
+
+def detections_from(message: Any) -> Detection2DArray:
+    """
+    Wrap a polygon message's polygons as detections that still want their boxes.
+
+    Each takes the header of the message, and its place in the message as id.
+    """
+    count = len(message.polygons) if hasattr(message, 'polygons') else 1
+    detections = [Detection2D(header=message.header, id=str(i)) for i in range(count)]
+    for detection in detections:
+        _place(detection.bbox, np.nan, np.nan, np.nan, np.nan)
+    return Detection2DArray(header=message.header, detections=detections)
+
+
+def boxes_of_detections(message: Detection2DArray, theta_scale: float) -> OrientedBoxes:
+    """
+    Read the oriented boxes of a message.
+
+    Parameters
+    ----------
+    message : Detection2DArray
+        N detections.
+    theta_scale : float
+        Factor from the message's angle unit to radians.
+
+    Returns
+    -------
+    OrientedBoxes
+        N boxes.
+    """
+    xywhr = np.empty((len(message.detections), 5))
+    for row, detection in zip(xywhr, message.detections, strict=True):
+        box = detection.bbox
+        position = box.center.position
+        row[:] = position.x, position.y, box.size_x, box.size_y, box.center.theta
+    xywhr[:, 4] *= theta_scale
+    return OrientedBoxes.from_xywhr(xywhr)
+
+
+def boxes_of_polygons(message: Any) -> OrientedBoxes:
+    """Read the minimum rotated rectangles of a message's polygons."""
+    polygons = message.polygons if hasattr(message, 'polygons') else [message.polygon]
+    return OrientedBoxes.from_polygons(
+        [(point.x, point.y) for point in polygon.points] for polygon in polygons
+    )
+
+
+def best_hypotheses(message: Detection2DArray) -> tuple[list[str], FloatArray]:
+    """
+    Give class id and score of each detection's best hypothesis.
+
+    Returns
+    -------
+    class_ids : list of str
+        N class ids, empty where there is no hypothesis.
+    scores : ndarray, shape (N,)
+        Their scores, NaN where there is none. The first of equals is taken.
+    """
+    class_ids = []
+    scores = np.full(len(message.detections), np.nan)
+    for i, detection in enumerate(message.detections):
+        best = _best([result.hypothesis.score for result in detection.results])
+        class_ids.append('' if best is None else detection.results[best].hypothesis.class_id)
+        if best is not None:
+            scores[i] = detection.results[best].hypothesis.score
+    return class_ids, scores
+
+
+def rules_of(class_ids: Sequence[str], rule_of_class: Any) -> NDArray[np.intp]:
+    """Look up the rule of each class, 0 for those that have none of their own."""
+    return np.array([rule_of_class.get(class_id, 0) for class_id in class_ids], np.intp)
+
+
+def write_boxes(
+    message: Detection2DArray, center: FloatArray, extents: FloatArray, keep_invalid: bool
+) -> None:
+    """
+    Turn a message's oriented boxes into axis-aligned ones, in place.
+
+    Parameters
+    ----------
+    message : Detection2DArray
+        N detections.
+    center, extents : ndarray, shape (2, N)
+        Centres and half-extents, pixels; NaN columns for what could not be converted.
+    keep_invalid : bool
+        Whether those detections stay as they are, or are left out.
+    """
+    valid = np.isfinite(extents[0])
+    rows = np.concatenate((center, 2.0 * extents)).T.tolist()
+    for detection, row, ok in zip(message.detections, rows, valid.tolist(), strict=True):
+        if ok:
+            _place(detection.bbox, *row)
+    if not keep_invalid and not valid.all():
+        message.detections = [d for d, ok in zip(message.detections, valid, strict=True) if ok]
+
+
+def crop_message(message: Detection2DArray, plan: CropPlan) -> Detection2DArray:
+    """
+    Write a crop plan as a message.
+
+    Parameters
+    ----------
+    message : Detection2DArray
+        What the plan was made from; header, ids and hypotheses are taken from it.
+    plan : CropPlan
+        The plan.
+
+    Returns
+    -------
+    Detection2DArray
+        A detection a region, its box from the region's first pixel to behind its last.
+    """
+    regions = []
+    for source, (x0, y0, x1, y1) in zip(plan.sources, plan.regions.tolist(), strict=True):
+        detection = message.detections[source]
+        box = BoundingBox2D()
+        _place(box, (x0 + x1) / 2.0, (y0 + y1) / 2.0, float(x1 - x0), float(y1 - y0))
+        regions.append(
+            Detection2D(
+                header=detection.header, results=detection.results, bbox=box, id=detection.id
+            )
+        )
+    return Detection2DArray(header=message.header, detections=regions)
+
+
+def image_size(info: CameraInfo) -> tuple[int, int]:
+    """Give width and height of the image that a camera info describes, pixels."""
+    roi = info.roi
+    width, height = (roi.width, roi.height) if roi.width and roi.height else (
+        info.width, info.height
+    )
+    return width // max(info.binning_x, 1), height // max(info.binning_y, 1)
+
+
+def _place(box: BoundingBox2D, x: float, y: float, width: float, height: float) -> None:
+    """Write an axis-aligned box."""
+    box.center.position.x = x
+    box.center.position.y = y
+    box.center.theta = 0.0
+    box.size_x = width
+    box.size_y = height
+
+
+def _best(scores: Sequence[float]) -> int | None:
+    """Find the first of the highest scores; NaN is lower than any number."""
+    if not scores:
+        return None
+    return int(np.argmax(np.nan_to_num(scores, nan=-np.inf)))

@@ -1,0 +1,275 @@
+"""A player: publishes label files as detections, so that anyone can try the node."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import as_file
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from geometry_msgs.msg import Point32
+from geometry_msgs.msg import Polygon
+from geometry_msgs.msg import PolygonStamped
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.qos import ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import Header
+from vision_msgs.msg import Detection2D
+from vision_msgs.msg import Detection2DArray
+from vision_msgs.msg import ObjectHypothesisWithPose
+
+from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.labels import FORMATS
+from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.labels import LabelError
+from obbhbb_ros.labels import read_labels
+from obbhbb_ros.nodes.messages import message_type
+from obbhbb_ros.nodes.parameters import LiveParameters
+from obbhbb_ros.nodes.parameters import ParameterSpec
+from obbhbb_ros.nodes.process import run
+from obbhbb_ros.nodes.settings import DETECTIONS
+from obbhbb_ros.nodes.settings import IMAGE_SIZE_LIMIT
+from obbhbb_ros.nodes.settings import POLYGON
+from obbhbb_ros.nodes.settings import POLYGONS
+
+HARBOUR = 'harbour.csv'
+HARBOUR_SIZE = (1024, 768)
+_POLL_PERIOD = 0.1
+
+TABLE: tuple[ParameterSpec, ...] = (
+    ParameterSpec(
+        'path', '',
+        'Label file, or folder of label files; empty for the synthetic harbour of the package.',
+        read_only=True,
+    ),
+    ParameterSpec(
+        'format', '', 'Format of the labels; empty to detect it.', choices=('', *FORMATS),
+        read_only=True,
+    ),
+    ParameterSpec('rate', 1.0, 'Images a second.', 0.001, 10000.0, read_only=True),
+    ParameterSpec('loop', False, 'Begin again after the last image, instead of ending.'),
+    ParameterSpec(
+        'output_type', DETECTIONS,
+        'Message type: the first goes to `detections`, the others to `polygons`. With the last, '
+        'each box is a message of its own.',
+        choices=(DETECTIONS, POLYGONS, POLYGON), read_only=True,
+    ),
+    ParameterSpec('frame_id', 'camera', 'Frame of every header.'),
+    ParameterSpec(
+        'image_width', 0,
+        'Width of every image, pixels; 0 where the labels or the images tell.',
+        0, IMAGE_SIZE_LIMIT, read_only=True,
+    ),
+    ParameterSpec(
+        'image_height', 0,
+        'Height of every image, pixels; 0 where the labels or the images tell.',
+        0, IMAGE_SIZE_LIMIT, read_only=True,
+    ),
+    ParameterSpec(
+        'wait_for_subscribers', 1,
+        'Subscribers to wait for before the first image, so that it is not lost.',
+        0, 1000, read_only=True,
+    ),
+)
+
+
+@dataclass(frozen=True)
+class PlayerSettings:
+    """What may change while the player runs."""
+
+    loop: bool
+    frame_id: str
+
+
+def _build_settings(values: Mapping[str, Any]) -> PlayerSettings:
+    """Make settings of parameter values."""
+    if bool(values['image_width']) != bool(values['image_height']):
+        raise ValueError('image_width and image_height must be given together')
+    return PlayerSettings(values['loop'], values['frame_id'])
+
+
+class PlayDetections(Node):
+    """
+    Node `play_detections`: one message an image, at a rate, once or looped.
+
+    Publishes `detections` or `polygons`, and `camera_info` where the image's size is known.
+
+    Parameters
+    ----------
+    **kwargs
+        Passed to `rclpy.node.Node`.
+
+    Raises
+    ------
+    ValueError, OSError, rclpy.exceptions.ParameterException
+        If the parameters or the label files cannot be used.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__('play_detections', **kwargs)
+        self._parameters_in_force = LiveParameters[PlayerSettings](
+            self, TABLE, _build_settings, self._parameter_overrides
+        )
+        values: dict[str, Any] = self._parameters_in_force.values()
+        self._output_type = values['output_type']
+        self._wanted = values['wait_for_subscribers']
+        self._period = 1.0 / values['rate']
+        self._skipped = 0
+        self._images = list(self._read(values))
+        if not self._images:
+            raise ValueError(f'no image to play in {values["path"]}')
+        self._position = 0
+        topic = 'detections' if self._output_type == DETECTIONS else 'polygons'
+        self._publisher = self._output(message_type(self._output_type), topic)
+        self._camera_publisher = self._output(CameraInfo, 'camera_info')
+        self._timer = self.create_timer(_POLL_PERIOD, self._begin)
+
+    def _output(self, message_class: Any, topic: str) -> Any:
+        """Create a publisher that keeps what a slow reader has not had yet."""
+        return self.create_publisher(
+            message_class,
+            topic,
+            QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def _read(self, values: Mapping[str, Any]) -> Iterator[ImageLabels]:
+        """Read the labels; what is malformed is reported, counted and left out."""
+        size = (values['image_width'], values['image_height'])
+        if values['path']:
+            yield from read_labels(
+                Path(values['path']).expanduser(),
+                values['format'] or None,
+                image_size=size if all(size) else None,
+                on_error=self._skip,
+            )
+        else:
+            with as_file(files('obbhbb_ros') / 'data' / HARBOUR) as path:
+                yield from read_labels(path, image_size=HARBOUR_SIZE)
+
+    def _skip(self, error: LabelError) -> None:
+        """Tell of a record that cannot be read."""
+        self._skipped += 1
+        self.get_logger().error(f'skipped: {error}')
+
+    def _begin(self) -> None:
+        """Wait for somebody to listen, then play."""
+        if self._publisher.get_subscription_count() < self._wanted:
+            self.get_logger().info(
+                f'waiting for {self._wanted} subscriber(s) of {self._publisher.topic_name}',
+                throttle_duration_sec=5.0,
+            )
+            return
+        self.destroy_timer(self._timer)
+        self._timer = self.create_timer(self._period, self._play_next)
+        self._play_next()
+
+    def _play_next(self) -> None:
+        """Publish the next image's labels, or end."""
+        if self._position == len(self._images):
+            if not self._parameters_in_force.settings.loop:
+                self._end()
+                return
+            self._position = 0
+        labels = self._images[self._position]
+        self._position += 1
+        header = Header(
+            stamp=self.get_clock().now().to_msg(),
+            frame_id=self._parameters_in_force.settings.frame_id,
+        )
+        # Before the labels: whoever plans crops needs the size first.
+        if labels.size:
+            width, height = labels.size
+            self._camera_publisher.publish(CameraInfo(header=header, width=width, height=height))
+        for message in self._messages(labels, header):
+            self._publisher.publish(message)
+
+    def _messages(self, labels: ImageLabels, header: Header) -> list[Any]:
+        """Write an image's labels in the type that was asked for."""
+        if self._output_type == DETECTIONS:
+            return [detections_message(labels, header)]
+        if self._output_type == POLYGONS:
+            return [polygons_message(labels, header)]
+        return [polygon_message(corners, header) for corners in labels.corners.tolist()]
+
+    def _end(self) -> None:
+        """Leave when all is delivered."""
+        self._publisher.wait_for_all_acked(Duration(seconds=5))
+        self.get_logger().info(
+            f'played {len(self._images)} images, skipped {self._skipped} malformed records'
+        )
+        self.context.try_shutdown()
+
+
+def detections_message(labels: ImageLabels, header: Header) -> Detection2DArray:
+    """
+    Write an image's labels as oriented detections.
+
+    Parameters
+    ----------
+    labels : ImageLabels
+        The labels.
+    header : Header
+        Header of the message and of each detection.
+
+    Returns
+    -------
+    Detection2DArray
+        A detection a label, in the same order; its id is `image/instance`, the instance counted
+        where the labels do not name it.
+    """
+    boxes = OrientedBoxes.from_corners(labels.corners)
+    rows = zip(
+        boxes.center.T.tolist(), boxes.length.tolist(), boxes.width.tolist(),
+        boxes.theta.tolist(), strict=True,
+    )
+    message = Detection2DArray(header=header)
+    for i, ((x, y), length, width, theta) in enumerate(rows):
+        detection = Detection2D(header=header, id=f'{labels.image}/{labels.ids[i] or i}')
+        detection.bbox.center.position.x = x
+        detection.bbox.center.position.y = y
+        detection.bbox.center.theta = theta
+        detection.bbox.size_x = length
+        detection.bbox.size_y = width
+        result = ObjectHypothesisWithPose()
+        result.hypothesis.class_id = labels.class_ids[i]
+        result.hypothesis.score = float(labels.scores[i])
+        detection.results.append(result)
+        message.detections.append(detection)
+    return message
+
+
+def polygons_message(labels: ImageLabels, header: Header) -> Any:
+    """Write an image's labels as a `Polygon2DCollection`, four corners a label."""
+    from polygon_msgs.msg import Point2D
+    from polygon_msgs.msg import Polygon2D
+
+    message = message_type(POLYGONS)(header=header)
+    message.polygons = [
+        Polygon2D(points=[Point2D(x=x, y=y) for x, y in corners])
+        for corners in labels.corners.tolist()
+    ]
+    return message
+
+
+def polygon_message(corners: Sequence[Sequence[float]], header: Header) -> PolygonStamped:
+    """Write one label as a `PolygonStamped`; its coordinates are single precision."""
+    points = [Point32(x=x, y=y) for x, y in corners]
+    return PolygonStamped(header=header, polygon=Polygon(points=points))
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run the player."""
+    sys.exit(run(PlayDetections, args))
+
+
+if __name__ == '__main__':
+    main()

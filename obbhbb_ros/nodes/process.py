@@ -1,0 +1,72 @@
+"""From command line to clean exit: what every node's `main` does."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from collections.abc import Sequence
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+
+class StartError(RuntimeError):
+    """A node cannot start; the text says why."""
+
+
+def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+    """
+    Run a node until it is told to stop.
+
+    Parameters
+    ----------
+    make_node : callable
+        Makes the node; may raise `StartError`, ValueError, OSError or ParameterException.
+    args : sequence of str, optional
+        Command line, `sys.argv` by default.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after SIGINT, SIGTERM or a shutdown of the context, 1 if the node cannot
+        start.
+    """
+    rclpy.init(args=args)
+    try:
+        node = make_node()
+    except (ParameterException, StartError, ValueError, OSError) as error:
+        print(f'cannot start: {error}', file=sys.stderr)
+        rclpy.try_shutdown()
+        return 1
+    except (KeyboardInterrupt, ExternalShutdownException):
+        rclpy.try_shutdown()
+        return 0
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        spin(executor, node)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def spin(executor: SingleThreadedExecutor, node: Node) -> None:
+    """Spin until the context ends; an error in a callback is logged and survived."""
+    while rclpy.ok():
+        try:
+            executor.spin_once()
+        except ExternalShutdownException:
+            return
+        except Exception as error:
+            if not rclpy.ok():
+                return
+            node.get_logger().error(
+                f'{type(error).__name__} in a callback: {error}', throttle_duration_sec=1.0
+            )

@@ -1,0 +1,1 @@
+"""The offline half: hulls, metrics, evaluation, calibration, plots. No ROS here."""

@@ -1,0 +1,147 @@
+"""
+The synthetic harbour that the package carries.
+
+`python -m obbhbb_ros.study.harbour FILE` writes it; a test holds the carried file equal. No
+pixel of it is real: ships of random size lie at anchor or side by side at piers, and their hulls
+are one outline stretched to each ship.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.labels import write_labels
+
+SIZE = (1024, 768)
+SEED = 20260622
+_PIERS = ((170.0, 330.0, 0.35), (520.0, 560.0, -0.9), (820.0, 250.0, 1.25))
+_BERTHS = 5
+_ANCHORED = 22
+_GAP = 6.0
+
+
+@dataclass(frozen=True)
+class Ship:
+    """A ship: centre, length and width in pixels, heading in radians from image +x, class."""
+
+    x: float
+    y: float
+    length: float
+    width: float
+    heading: float
+    class_id: str
+
+    @property
+    def radius(self) -> float:
+        """Half the diagonal, pixels."""
+        return float(np.hypot(self.length, self.width)) / 2.0
+
+    def place(self, points: FloatArray) -> FloatArray:
+        """Put points of the unit box [-1, 1]^2, bow at +x, on this ship; (K, 2) to (K, 2)."""
+        along, across = points.T * [[self.length / 2.0], [self.width / 2.0]]
+        cos, sin = np.cos(self.heading), np.sin(self.heading)
+        x = self.x + along * cos - across * sin
+        y = self.y + along * sin + across * cos
+        return np.round(np.stack((x, y), axis=1), 3)
+
+
+def outline(points: int = 12) -> FloatArray:
+    """
+    Draw a merchant hull in the unit box: rounded stern, parallel sides, pointed bow.
+
+    Parameters
+    ----------
+    points : int
+        Vertices on each side of the bow.
+
+    Returns
+    -------
+    ndarray, shape (2 * points + 5, 2)
+        Vertices in order, touching all four sides of [-1, 1]^2.
+    """
+    t = np.linspace(0.0, 1.0, points)
+    # The sides run parallel over two thirds of the length, then close on a parabola.
+    bow = np.stack((0.3 + 0.7 * t, 1.0 - t**2), axis=1)
+    stern = np.array([[-0.7, 1.0], [-0.93, 0.85], [-1.0, 0.5]])
+    starboard = np.concatenate((stern[::-1], bow))
+    port = starboard[::-1] * [1.0, -1.0]
+    return np.concatenate((starboard, port[1:]))
+
+
+def ships() -> list[Ship]:
+    """Lay out the harbour; the same ships every time."""
+    random = np.random.default_rng(SEED)
+    berthed = [ship for pier in _PIERS for ship in _moor(random, *pier)]
+    anchored: list[Ship] = []
+    while len(anchored) < _ANCHORED:
+        ship = _at_anchor(random)
+        others = berthed + anchored
+        if all(np.hypot(ship.x - o.x, ship.y - o.y) > ship.radius + o.radius for o in others):
+            anchored.append(ship)
+    return berthed + anchored
+
+
+def harbour() -> ImageLabels:
+    """
+    Label the harbour.
+
+    Returns
+    -------
+    ImageLabels
+        Oriented boxes, hull polygons and, as reference, the bounds of each hull, pixels.
+    """
+    fleet = ships()
+    box = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    hulls = tuple(ship.place(outline()) for ship in fleet)
+    bounds = [np.concatenate((hull.min(axis=0), hull.max(axis=0))) for hull in hulls]
+    return ImageLabels(
+        image='harbour',
+        corners=np.stack([ship.place(box) for ship in fleet]),
+        class_ids=tuple(ship.class_id for ship in fleet),
+        ids=tuple(str(i) for i in range(len(fleet))),
+        scores=np.ones(len(fleet)),
+        reference=np.array(bounds),
+        hulls=hulls,
+        size=SIZE,
+        source=Path('harbour.csv'),
+    )
+
+
+def _moor(random: np.random.Generator, x: float, y: float, heading: float) -> Iterator[Ship]:
+    """Lay ships side by side, bow to the pier."""
+    across = -np.sin(heading), np.cos(heading)
+    offset = 0.0
+    for _ in range(_BERTHS):
+        length = random.uniform(90.0, 130.0)
+        width = length / random.uniform(4.0, 7.0)
+        offset += width / 2.0
+        yield Ship(
+            x + across[0] * offset - np.cos(heading) * length / 2.0,
+            y + across[1] * offset - np.sin(heading) * length / 2.0,
+            length, width, heading, 'cargo',
+        )
+        offset += width / 2.0 + _GAP
+
+
+def _at_anchor(random: np.random.Generator) -> Ship:
+    """Place a ship anywhere in the image, at any heading."""
+    class_id = str(random.choice(['tug', 'cargo', 'tanker'], p=[0.4, 0.35, 0.25]))
+    low, high = {'tug': (22.0, 40.0), 'cargo': (60.0, 120.0), 'tanker': (100.0, 170.0)}[class_id]
+    length = random.uniform(low, high)
+    width = length / random.uniform(*((2.2, 3.2) if class_id == 'tug' else (5.0, 8.0)))
+    margin = 0.55 * length
+    return Ship(
+        random.uniform(margin, SIZE[0] - margin), random.uniform(margin, SIZE[1] - margin),
+        length, width, random.uniform(-np.pi, np.pi), class_id,
+    )
+
+
+if __name__ == '__main__':
+    write_labels(sys.argv[1], [harbour()])
