@@ -189,6 +189,12 @@ class TestABadRecord:
         assert [error.line for error in errors] == [3], format_name
 
 
+def test_bytes_that_are_no_text_are_named(put: Put) -> None:
+    path = put('P1.txt', DOTA.encode() + b'10 20 50 20 50 30 10 30 sh\xefp 0\n')
+    with pytest.raises(LabelError, match=r':2: not UTF-8 text: byte 0xef at position 27$'):
+        list(read_labels(path))
+
+
 def test_bad_records_are_counted_over_all_files_of_a_folder(put: Put, tmp_path: Path) -> None:
     put('a.txt', f'{DOTA}1 2 3\n')
     put('b.txt', DOTA)

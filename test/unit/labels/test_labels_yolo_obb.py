@@ -13,6 +13,7 @@ from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.labels.records import Box
+from obbhbb_ros.labels.records import assemble
 
 if TYPE_CHECKING:
     from conftest import Make
@@ -42,7 +43,8 @@ def test_the_documented_example_is_read_in_pixels(put: Put) -> None:
 
 
 @pytest.mark.parametrize(
-    ('end', 'score', 'track'), [('', 1.0, ''), (' 0.875', 0.875, ''), (' 0.875 17', 0.875, '17')]
+    ('end', 'score', 'track'),
+    [('', 1.0, ''), (' 1', 1.0, ''), (' 0', 0.0, ''), (' 0.875 17', 0.875, '17')],
 )
 def test_predictions_end_in_confidence_and_track(
     put: Put, end: str, score: float, track: str
@@ -54,8 +56,8 @@ def test_predictions_end_in_confidence_and_track(
 
 
 def test_boxes_may_reach_out_of_the_image(put: Put) -> None:
-    (labels,) = read_labels(put('a.txt', '0 -0.5 0 1.5 0 1.5 1 -0.5 1'), image_size=(100, 100))
-    assert labels.corners[0, :, 0].tolist() == [-50, 150, 150, -50]
+    (labels,) = read_labels(put('a.txt', '0 -1 0 2 0 2 1 -1 1'), image_size=(100, 100))
+    assert labels.corners[0, :, 0].tolist() == [-100, 200, 200, -100]
 
 
 @pytest.mark.parametrize(
@@ -67,9 +69,13 @@ def test_boxes_may_reach_out_of_the_image(put: Put) -> None:
         (BOX.replace('0.125', 'x', 1), "'x' is not a number"),
         (BOX.replace('0.125', 'nan', 1), "'nan' is not a finite number"),
         (BOX.replace('0.125', '80', 1), 'not normalised'),
+        (BOX.replace('0.125', '2.001', 1), 'not normalised'),
+        (BOX.replace('0.125', '-1.001', 1), 'not normalised'),
         (f'ship{BOX[1:]}', "class index 'ship'"),
         (f'-1{BOX[1:]}', "class index '-1'"),
         (f'2.0{BOX[1:]}', "class index '2.0'"),
+        (f'{BOX} 1.001', 'confidence 1.001 is not within 0..1'),
+        (f'{BOX} -0.001', 'confidence -0.001 is not within 0..1'),
         (f'{BOX} 17', 'confidence 17 is not within 0..1'),
         (f'{BOX} x', "'x' is not a number"),
     ],
@@ -152,13 +158,28 @@ def test_the_size_is_that_of_the_image_as_it_is_shown(
         assert read.size == shown.size
 
 
-def test_the_size_of_a_large_scene_is_read_without_a_warning(put: Put, tmp_path: Path) -> None:
-    image = pytest.importorskip('PIL.Image')
-    size = (10_000, 10_000)
-    assert size[0] * size[1] > image.MAX_IMAGE_PIXELS
-    image.new('1', size).save(tmp_path / 'a.png')
+@pytest.mark.filterwarnings('error')
+def test_the_size_of_an_image_that_pillow_warns_of_is_read(
+    put: Put, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _put_image(tmp_path / 'a.png', SIZE)
+    limit = SIZE[0] * SIZE[1] - 1
+    monkeypatch.setattr(pytest.importorskip('PIL.Image'), 'MAX_IMAGE_PIXELS', limit)
     (read,) = read_labels(put('a.txt', BOX))
-    assert read.size == size
+    assert read.size == SIZE
+
+
+def test_an_image_too_large_for_pillow_takes_an_image_size(
+    put: Put, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _put_image(tmp_path / 'a.png', SIZE)
+    limit = SIZE[0] * SIZE[1] // 2 - 1
+    monkeypatch.setattr(pytest.importorskip('PIL.Image'), 'MAX_IMAGE_PIXELS', limit)
+    path = put('a.txt', BOX)
+    with pytest.raises(LabelError, match='image_size'):
+        list(read_labels(path))
+    (read,) = read_labels(path, image_size=SIZE)
+    assert read.size == SIZE
 
 
 def test_an_image_size_given_comes_before_that_of_the_image(put: Put, tmp_path: Path) -> None:
@@ -213,6 +234,11 @@ def test_a_file_is_written_normalised(make: Make, tmp_path: Path) -> None:
     write_labels(tmp_path, [make('a', IN_BOX, size=SIZE)], 'yolo_obb')
     assert (tmp_path / 'a.txt').read_text() == f'{BOX}\n'
     assert not (tmp_path / 'classes.txt').exists()
+
+
+def test_an_image_without_boxes_needs_no_size(tmp_path: Path) -> None:
+    write_labels(tmp_path, [assemble('a', [], None, Path('made.by'))], 'yolo_obb')
+    assert (tmp_path / 'a.txt').read_text() == ''
 
 
 def test_scores_are_written_where_they_say_something(make: Make, tmp_path: Path) -> None:
