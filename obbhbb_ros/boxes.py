@@ -114,16 +114,21 @@ class OrientedBoxes:
         ValueError
             If `xywhr` does not have that shape or holds anything but numbers.
         """
-        x, y, width, height, theta = _as_array(xywhr, 'xywhr', (5,)).T
+        array = _as_array(xywhr, 'xywhr', (5,))
+        center = array[:, :2].T.copy()
+        half_size = array[:, 2:4].T * 0.5
+        theta = array[:, 4]
+        first, second = np.empty_like(center), np.empty_like(center)
         with np.errstate(invalid='ignore', over='ignore'):
-            direction = np.stack((np.cos(theta), np.sin(theta)))
-            first = direction * (width * 0.5)
-            second = np.stack((-direction[1], direction[0])) * (height * 0.5)
-        boxes = cls._from_half_edges(np.stack((x, y)), first, second)
-        negative = (width < 0.0) | (height < 0.0)
-        if negative.any():
-            boxes.defects[negative & (boxes.defects != Defect.NOT_FINITE)] = Defect.NEGATIVE_SIZE
-            boxes._blank_defective()
+            np.cos(theta, out=first[0])
+            np.sin(theta, out=first[1])
+            np.negative(first[1], out=second[0])
+            second[1] = first[0]
+            first *= half_size[0]
+            second *= half_size[1]
+        boxes = cls._from_half_edges(center, first, second)
+        if (half_size < 0.0).any():
+            boxes._mark_negative((half_size < 0.0).any(axis=0))
         return boxes
 
     @classmethod
@@ -188,6 +193,11 @@ class OrientedBoxes:
         empty = (self.long_axis == 0.0).all(axis=0) | (self.short_axis == 0.0).all(axis=0)
         empty &= finite
         self.defects[empty] = Defect.EMPTY
+        self._blank_defective()
+
+    def _mark_negative(self, negative: NDArray[np.bool_]) -> None:
+        """Mark boxes of negative size, but for those that are not even finite."""
+        self.defects[negative & (self.defects != Defect.NOT_FINITE)] = Defect.NEGATIVE_SIZE
         self._blank_defective()
 
     def _blank_defective(self) -> None:
