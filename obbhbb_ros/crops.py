@@ -2,17 +2,25 @@
 Axis-aligned boxes in, crop plan out: which whole-pixel regions of the image are worth sending.
 
 A region is [x0, x1) x [y0, y1) in whole pixels of the image, pixel i covering [i, i + 1).
+
+A plan is made in three steps: each box becomes a region, regions that overlap become one where
+that takes fewer pixels, and the limits of the frame are filled by falling value. No step depends
+on the order in which the boxes come.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.merging import MergeRules
+from obbhbb_ros.merging import Pixels
+from obbhbb_ros.merging import merge_regions
 
 _FARTHEST = 2.0**52
 
@@ -23,6 +31,7 @@ class LeftOut(str, Enum):
     INVALID = 'invalid'
     OUTSIDE = 'outside_image'
     MAX_COUNT = 'max_count'
+    MAX_PIXELS = 'max_pixels'
 
 
 @dataclass(frozen=True)
@@ -41,20 +50,35 @@ class CropSettings:
         An image that is smaller bounds them first.
     max_size : int
         Regions are cut about their centre to at most so many pixels a side; 0 for no bound.
+    multiple_of : int
+        Both sides of a region are multiples of so many pixels, the block of a codec; 0 or 1 for
+        any size. Sides are rounded up, or down where `max_size` bounds them. A region that would
+        then no longer fit takes the whole side of the image, the only case in which a side is
+        no multiple.
+    merge_max_size : int
+        Regions become one where the region around both has fewer pixels than the two have
+        together, and at most so many pixels a side (nor more than `max_size`); 0 for no merging.
     max_count : int
         At most so many regions a frame; 0 for no bound.
+    max_pixels : int
+        At most so many pixels in the regions of a frame together; 0 for no bound. A region that
+        does not fit into what is left is left out, a less valuable one that fits is taken.
 
     Raises
     ------
     ValueError
-        If a value is negative, or `max_size` lies below `min_size`; the message names it.
+        If a value is negative, or no side fits `min_size`, `max_size` and `multiple_of`; the
+        message names it.
     """
 
     padding: float = 0.0
     padding_px: float = 0.0
     min_size: int = 0
     max_size: int = 0
+    multiple_of: int = 0
+    merge_max_size: int = 0
     max_count: int = 0
+    max_pixels: int = 0
 
     def __post_init__(self) -> None:
         """Check every value and how they fit together."""
@@ -65,6 +89,23 @@ class CropSettings:
             raise ValueError(
                 f'max_size ({self.max_size}) must not be smaller than min_size ({self.min_size})'
             )
+        if 0 < self.max_size < max(self._smallest, self.multiple_of):
+            raise ValueError(
+                f'max_size ({self.max_size}) leaves no multiple_of ({self.multiple_of}) that '
+                f'reaches min_size ({self.min_size})'
+            )
+
+    @property
+    def _smallest(self) -> int:
+        """The smallest side that `multiple_of` allows, pixels."""
+        step = max(self.multiple_of, 1)
+        return -(-self.min_size // step) * step
+
+    @property
+    def _largest(self) -> float:
+        """The largest side that `multiple_of` allows, pixels; infinity for any."""
+        step = max(self.multiple_of, 1)
+        return self.max_size // step * step if self.max_size else np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,15 +117,34 @@ class CropPlan:
     ----------
     regions : ndarray of int64, shape (M, 4)
         x0, y0, x1, y1 of each region, whole pixels inside the image, upper ends exclusive.
-    sources : ndarray of int, shape (M,)
-        For each region, the row of the box that it was made from.
+    sources : ndarray of int, shape (K,)
+        Rows of the boxes that the regions were made from, region after region, the most valuable
+        of a region first. Without merging one for each region.
+    offsets : ndarray of int, shape (M + 1,)
+        Region i was made from `sources[offsets[i]:offsets[i + 1]]`.
     left_out : dict of LeftOut to int
         How many boxes have no region, by reason.
     """
 
     regions: NDArray[np.int64]
     sources: NDArray[np.intp]
+    offsets: NDArray[np.intp]
     left_out: dict[LeftOut, int]
+
+    @property
+    def merged(self) -> bool:
+        """Whether any region was made from several boxes."""
+        return len(self.sources) > len(self.regions)
+
+    @property
+    def pixels(self) -> int:
+        """Pixels of all regions together."""
+        return int(_pixels(self.regions).sum())
+
+    def groups(self) -> list[list[int]]:
+        """List for each region the rows of the boxes that it was made from."""
+        rows, bounds = self.sources.tolist(), self.offsets.tolist()
+        return [rows[i:j] for i, j in pairwise(bounds)]
 
 
 def plan_crops(
@@ -92,42 +152,136 @@ def plan_crops(
     scores: FloatArray,
     image_size: tuple[int, int],
     settings: CropSettings,
+    weights: FloatArray | None = None,
 ) -> CropPlan:
     """
     Plan the regions of one frame.
+
+    The value of a box is its score times its weight, that of a region the sum over its boxes. Of
+    equal values the one further left comes first, then the one further up, then the one whose
+    right and lower end come first. Only where boxes agree in value and in all coordinates does
+    their order in the input decide, as nothing else tells them apart.
 
     Parameters
     ----------
     xyxy : ndarray, shape (N, 4)
         Axis-aligned boxes, pixels; NaN rows are left out.
     scores : ndarray, shape (N,)
-        Value of each box; NaN counts as less than any number.
+        Score of each box; NaN counts as less than any number.
     image_size : tuple of int
         Width and height of the image, pixels.
     settings : CropSettings
         Padding, sizes and limits.
+    weights : ndarray, shape (N,), optional
+        What the score of each box counts, 0 or more; 1 by default.
 
     Returns
     -------
     CropPlan
-        The regions by falling score; equal scores keep the order of the boxes.
+        The regions by falling value.
     """
     usable = np.isfinite(xyxy).all(axis=1)
     rows = np.flatnonzero(usable)
     regions, inside = _regions(xyxy[rows], image_size, settings)
+    values = scores if weights is None else scores * weights
+    values = np.where(np.isnan(values), -np.inf, values)
     rows, regions = rows[inside], regions[inside]
-    order = np.argsort(-np.nan_to_num(scores[rows], nan=-np.inf), kind='stable')
-    kept = order[: settings.max_count] if settings.max_count else order
+    order = _by_value(values[rows], regions, xyxy[rows])
+    rows, regions, values = rows[order], regions[order], values[rows[order]]
     left_out = {
         LeftOut.INVALID: int((~usable).sum()),
         LeftOut.OUTSIDE: int((~inside).sum()),
-        LeftOut.MAX_COUNT: len(order) - len(kept),
     }
+    offsets = np.arange(len(rows) + 1)
+    if settings.merge_max_size and len(rows) > 1:
+        regions, rows, offsets = _merged(regions, values, rows, image_size, settings)
+    kept, over = _within_limits(regions, settings)
+    sizes = np.diff(offsets)
+    for reason, indices in over.items():
+        left_out[reason] = int(sizes[indices].sum())
+    if len(kept) < len(regions):
+        rows = rows[np.repeat(np.isin(np.arange(len(regions)), kept), sizes)]
+        offsets = np.concatenate(([0], np.cumsum(sizes[kept])))
     return CropPlan(
         regions=regions[kept],
-        sources=rows[kept],
+        sources=rows,
+        offsets=offsets,
         left_out={reason: count for reason, count in left_out.items() if count},
     )
+
+
+def _by_value(
+    values: FloatArray, regions: NDArray[np.int64], xyxy: FloatArray | None = None
+) -> NDArray[np.intp]:
+    """Sort by falling value, then by place; `xyxy` tells apart what rounding made equal."""
+    order = np.argsort(-values, kind='stable')
+    ranked = values[order]
+    if not (ranked[1:] == ranked[:-1]).any():
+        return order
+    finer = () if xyxy is None else tuple(xyxy.T[::-1])
+    return np.lexsort((*finer, *regions.T[::-1], -values))
+
+
+def _merged(
+    regions: NDArray[np.int64],
+    values: FloatArray,
+    rows: NDArray[np.intp],
+    image_size: tuple[int, int],
+    settings: CropSettings,
+) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.intp]]:
+    """Merge regions given by falling value; give regions, sources and offsets of a plan."""
+    bounds = np.array(image_size, dtype=np.float64)
+
+    def fit(low: Pixels, high: Pixels) -> tuple[Pixels, Pixels]:
+        corners = _fit_sizes(low.T.astype(float), high.T.astype(float), bounds, settings)
+        return corners[0].T.astype(low.dtype), corners[1].T.astype(low.dtype)
+
+    limit = min(settings.merge_max_size, settings._largest)
+    rules = MergeRules(limit, settings.multiple_of, image_size, fit)
+    united, group_of = merge_regions(regions, rules)
+    if len(united) == len(regions):
+        return regions, rows, np.arange(len(rows) + 1)
+    order = _by_value(_sums(values, group_of, len(united)), united)
+    rank = np.argsort(order)[group_of]
+    members = np.argsort(rank, kind='stable')
+    offsets = np.concatenate(([0], np.cumsum(np.bincount(rank))))
+    return united[order], rows[members], offsets
+
+
+def _sums(values: FloatArray, group_of: NDArray[np.intp], groups: int) -> FloatArray:
+    """Add up the values of each group; what has none counts only where no other has one."""
+    known = values > -np.inf
+    sums = np.bincount(group_of[known], values[known], groups)
+    counts = np.bincount(group_of[known], minlength=groups)
+    return np.where(counts > 0, sums, -np.inf)
+
+
+def _within_limits(
+    regions: NDArray[np.int64], settings: CropSettings
+) -> tuple[NDArray[np.intp], dict[LeftOut, list[int]]]:
+    """Fill the limits of a frame in the order given; also tell what is over which limit."""
+    count = settings.max_count or len(regions)
+    pixels = _pixels(regions)
+    if not settings.max_pixels or pixels[:count].sum() <= settings.max_pixels:
+        over = {LeftOut.MAX_COUNT: list(range(count, len(regions)))}
+        return np.arange(min(count, len(regions))), over
+    kept: list[int] = []
+    over = {LeftOut.MAX_COUNT: [], LeftOut.MAX_PIXELS: []}
+    left = settings.max_pixels
+    for index, size in enumerate(pixels.tolist()):
+        if len(kept) == count:
+            over[LeftOut.MAX_COUNT].append(index)
+        elif size > left:
+            over[LeftOut.MAX_PIXELS].append(index)
+        else:
+            kept.append(index)
+            left -= size
+    return np.array(kept, np.intp), over
+
+
+def _pixels(regions: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Count the pixels of each region."""
+    return (regions[:, 2] - regions[:, 0]) * (regions[:, 3] - regions[:, 1])
 
 
 def _regions(
@@ -149,10 +303,12 @@ def _regions(
 def _fit_sizes(
     low: FloatArray, high: FloatArray, bounds: FloatArray, settings: CropSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """Grow or cut each side about its centre into [min_size, max_size], inside the image."""
-    size = np.maximum(high - low, settings.min_size)
+    """Bring each side about its centre to a size that the settings allow, inside the image."""
+    size = np.maximum(high - low, max(settings.min_size, 1))
+    if settings.multiple_of > 1:
+        size = np.ceil(size / settings.multiple_of) * settings.multiple_of
     if settings.max_size:
-        size = np.minimum(size, settings.max_size)
+        size = np.minimum(size, settings._largest)
     size = np.minimum(size, bounds)
     fitted = np.where(size == high - low, low, np.floor((low + high - size) / 2.0))
     fitted = np.clip(fitted, 0.0, bounds - size)
