@@ -90,6 +90,10 @@ _BOX = 'detections.bbox.center.position.x'
 _CLASS = 'detections.results.hypothesis.class_id'
 _SCORE = 'detections.results.hypothesis.score'
 _BOX_NUMBERS = 5
+_HYPOTHESIS_NUMBERS = 44
+# Of the lengths in a detection, that of its hypotheses comes behind that of its frame_id.
+_RESULTS = 1
+ID_SEPARATOR = '|'
 
 
 @dataclass
@@ -624,9 +628,7 @@ class Detections:
         """
         raw = self._body.tobytes()
         found, templates = self._found, self._forms.templates
-        chunks = [bytes(ENCAPSULATION), _LITTLE_ENDIAN.tobytes(), raw[: found.count_at]]
-        chunks.append(len(rows).to_bytes(4, 'little'))
-        end = found.count_at + 4
+        chunks, end = self._beginning(raw, len(rows))
         boxes_at = []
         starts, forms = found.starts[rows].tolist(), found.forms[rows].tolist()
         for start, form in zip(starts, forms, strict=True):
@@ -643,11 +645,66 @@ class Detections:
                     chunks += (padding, raw[start + begin : start + stop])
                 boxes_at.append(at + template.moved.box)
                 end = at + template.moved.size
-        chunks.append(_PADDING[: _aligned(end, 8) - end])
-        buffer = np.frombuffer(bytearray().join(chunks), np.uint8)
-        at_numbers = np.array(boxes_at, np.int64) // 8
-        _write_boxes(buffer[2 * ENCAPSULATION :], at_numbers, xywh)
-        return buffer[ENCAPSULATION : 2 * ENCAPSULATION + end].tobytes()
+        return _ending(chunks, end, boxes_at, xywh)
+
+    def joined(self, groups: Sequence[Sequence[int]], xywh: FloatArray) -> bytes:
+        """
+        Give the message with one detection for each group of its detections.
+
+        Parameters
+        ----------
+        groups : sequence of sequences of int
+            M groups of one detection or more, in the order wanted.
+        xywh : ndarray, shape (M, 4)
+            Centre x and y, size x and y of their axis-aligned boxes, pixels.
+
+        Returns
+        -------
+        bytes
+            The serialized message, little-endian. A detection has the header of the first of its
+            group, all hypotheses of the group, and the ids of the group joined by `ID_SEPARATOR`.
+        """
+        raw = self._body.tobytes()
+        chunks, end = self._beginning(raw, len(groups))
+        boxes_at = []
+        for group in groups:
+            parts = [self._parts(raw, row) for row in group]
+            count = sum(len(hypotheses) for _, hypotheses, _ in parts)
+            pieces = [(4, parts[0][0]), (4, count.to_bytes(4, 'little'))]
+            for _, hypotheses, _ in parts:
+                for class_id, numbers in hypotheses:
+                    pieces += ((4, class_id), (8, numbers))
+            pieces.append((8, bytes(8 * _BOX_NUMBERS)))
+            pieces.append((4, _text(ID_SEPARATOR.encode().join(each for *_, each in parts))))
+            for size, piece in pieces:
+                at = _aligned(end, size)
+                chunks += (_PADDING[: at - end], piece)
+                end = at + len(piece)
+            # The last piece follows the box without padding.
+            boxes_at.append(at - 8 * _BOX_NUMBERS)
+        return _ending(chunks, end, boxes_at, xywh)
+
+    def _beginning(self, raw: bytes, count: int) -> tuple[list[bytes], int]:
+        """Begin a message of `count` detections; also tell how long that is."""
+        at = self._found.count_at
+        chunks = [bytes(ENCAPSULATION), _LITTLE_ENDIAN.tobytes(), raw[:at]]
+        return [*chunks, count.to_bytes(4, 'little')], at + 4
+
+    def _parts(self, raw: bytes, row: int) -> tuple[bytes, list[tuple[bytes, bytes]], bytes]:
+        """Take a detection apart: header, class id and numbers of each hypothesis, id."""
+        start = int(self._found.starts[row])
+        template = self._forms.templates[self._found.forms[row]]
+        # Up to the last byte that is no padding.
+        frame_at, frame_size = template.lengths[0]
+        header = raw[start : start + frame_at + 4 + frame_size]
+        hypotheses = []
+        class_lengths = template.lengths[_RESULTS + 1 : -1]
+        for (at, length), numbers in zip(class_lengths, template.scores.tolist(), strict=True):
+            behind = start + numbers + 8 * _HYPOTHESIS_NUMBERS
+            class_id = raw[start + at : start + at + 4 + length]
+            hypotheses.append((class_id, raw[start + numbers : behind]))
+        at, length = template.lengths[-1]
+        return header, hypotheses, raw[start + at + 4 : start + at + 4 + length - 1]
 
     def _rows_by_form(self) -> Iterator[tuple[int, IntArray]]:
         """Group the detections by their form."""
@@ -684,6 +741,20 @@ class Detections:
             numbers = self._body.view(f'u{size}')
             at = np.concatenate(parts) // size
             numbers[at] = numbers[at].byteswap()
+
+
+def _text(content: bytes) -> bytes:
+    """Write a string."""
+    return (len(content) + 1).to_bytes(4, 'little') + content + b'\0'
+
+
+def _ending(chunks: list[bytes], end: int, boxes_at: list[int], xywh: FloatArray) -> bytes:
+    """Make a message of chunks that hold `end` bytes, with boxes at the places given."""
+    chunks.append(_PADDING[: _aligned(end, 8) - end])
+    buffer = np.frombuffer(bytearray().join(chunks), np.uint8)
+    at_numbers = np.array(boxes_at, np.int64) // 8
+    _write_boxes(buffer[2 * ENCAPSULATION :], at_numbers, xywh)
+    return buffer[ENCAPSULATION : 2 * ENCAPSULATION + end].tobytes()
 
 
 def _write_boxes(body: NDArray[np.uint8], boxes_at: IntArray, xywh: FloatArray) -> None:

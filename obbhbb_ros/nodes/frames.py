@@ -103,7 +103,10 @@ class WireFrame:
 
     def crops_message(self, plan: CropPlan) -> bytes:
         """See `Frame`."""
-        return self._detections.selected(plan.sources, messages.region_boxes(plan))
+        boxes = messages.region_boxes(plan)
+        if plan.merged:
+            return self._detections.joined(plan.groups(), boxes)
+        return self._detections.selected(plan.sources, boxes)
 
     def _best(self) -> Any:
         """Find the best hypotheses once."""

@@ -19,6 +19,7 @@ from obbhbb_ros.crops import CropPlan
 from obbhbb_ros.nodes.settings import DETECTIONS
 from obbhbb_ros.nodes.settings import POLYGON
 from obbhbb_ros.nodes.settings import POLYGONS
+from obbhbb_ros.wire import ID_SEPARATOR
 
 
 def message_type(input_type: str) -> Any:
@@ -148,16 +149,21 @@ def crop_message(message: Detection2DArray, plan: CropPlan) -> Detection2DArray:
     Returns
     -------
     Detection2DArray
-        A detection a region, its box from the region's first pixel to behind its last.
+        A detection a region, its box from the region's first pixel to behind its last. A merged
+        region has the header of its most valuable detection, the hypotheses of all, and their ids
+        joined by `ID_SEPARATOR`, most valuable first.
     """
     regions = []
-    for source, row in zip(plan.sources, region_boxes(plan).tolist(), strict=True):
-        detection = message.detections[source]
+    for group, row in zip(plan.groups(), region_boxes(plan).tolist(), strict=True):
+        members = [message.detections[source] for source in group]
         box = BoundingBox2D()
         _place(box, *row)
         regions.append(
             Detection2D(
-                header=detection.header, results=detection.results, bbox=box, id=detection.id
+                header=members[0].header,
+                results=[result for member in members for result in member.results],
+                bbox=box,
+                id=ID_SEPARATOR.join(member.id for member in members),
             )
         )
     return Detection2DArray(header=message.header, detections=regions)

@@ -39,7 +39,8 @@ def outputs(frame, theta_scale, keep_invalid, crop):
     class_ids, scores = frame.class_ids(), frame.scores()
     rule_of = np.array([class_id == 'tug' for class_id in class_ids], np.intp)
     extents = half_extents(boxes, RULES, rule_of)
-    plan = plan_crops(to_xyxy(boxes.center, extents), scores, (1920, 1080), crop)
+    weights = np.where(rule_of == 1, 3.0, 1.0)
+    plan = plan_crops(to_xyxy(boxes.center, extents), scores, (1920, 1080), crop, weights)
     crops = frame.crops_message(plan)
     written = frame.boxes_message(boxes.center, extents, keep_invalid)
     return frame.stamp, class_ids, scores.tolist(), crops, written
@@ -54,7 +55,8 @@ def assert_same(data, theta_scale=1.0, keep_invalid=False, crop=None):
 
 
 CROPS = st.builds(
-    CropSettings, padding=st.floats(0, 1), max_count=st.integers(0, 5), min_size=st.integers(0, 99)
+    CropSettings, padding=st.floats(0, 1), max_count=st.integers(0, 5),
+    min_size=st.integers(0, 99), merge_max_size=st.sampled_from([0, 10**6]),
 )
 
 
@@ -73,19 +75,23 @@ def test_generated_messages(
 @pytest.mark.parametrize('order', '<>')
 @pytest.mark.parametrize('count', [0, 1, 17, 500, 2000])
 @pytest.mark.parametrize('hypotheses', [0, 1, 2])
-def test_long_messages(order, count, hypotheses) -> None:
+@pytest.mark.parametrize('merge_max_size', [0, 300])
+def test_long_messages(order, count, hypotheses, merge_max_size) -> None:
     detection = Detection(results=(Hypothesis(), Hypothesis('tug', 0.9))[:hypotheses])
     detections = tuple(
         replace(detection, bbox=(i % 1900, i % 1000, 0.1 * i, 60.0, i % 40), id=str(i))
         for i in range(count)
     )
-    assert_same(encode(Message(detections=detections), order))
+    crop = CropSettings(merge_max_size=merge_max_size)
+    assert_same(encode(Message(detections=detections), order), crop=crop)
 
 
 @pytest.mark.parametrize('name', ['real_ships.csv', '../../obbhbb_ros/data/harbour.csv'])
 def test_annotations(name) -> None:
     for labels in read_labels(DATA / name):
-        assert_same(serialize_message(detections_message(labels, Header(frame_id='camera'))))
+        data = serialize_message(detections_message(labels, Header(frame_id='camera')))
+        assert_same(data)
+        assert_same(data, crop=CropSettings(padding=0.5, merge_max_size=500))
 
 
 @pytest.mark.parametrize('keep_invalid', [False, True])

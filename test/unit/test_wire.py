@@ -79,6 +79,29 @@ def test_selecting_shortens_and_reorders(order, message, padding, data) -> None:
 
 
 @ORDERS
+@given(message=MESSAGES, padding=PADDING, data=st.data())
+def test_joining_keeps_the_hypotheses_and_ids_of_all(order, message, padding, data) -> None:
+    found = message.detections
+    row = st.integers(0, len(found) - 1)
+    group = st.lists(row, min_size=1, max_size=4)
+    groups = data.draw(st.lists(group, max_size=6)) if found else []
+    rows = boxes(len(groups))
+    joined = Detections(encode(message, order, padding), FORMS).joined(groups, rows)
+    expected = tuple(
+        with_box(
+            replace(
+                found[members[0]],
+                results=tuple(result for i in members for result in found[i].results),
+                id='|'.join(found[i].id for i in members),
+            ),
+            box,
+        )
+        for members, box in zip(groups, rows, strict=True)
+    )
+    assert joined == encode(replace(message, detections=expected))
+
+
+@ORDERS
 @given(message=MESSAGES, padding=PADDING)
 def test_the_canonical_form_is_little_endian_with_zeros_between_fields(
     order, message, padding
