@@ -1,5 +1,5 @@
 """
-CDR bytes <-> arrays, without ROS: reads and rewrites `vision_msgs/Detection2DArray`.
+CDR bytes <-> arrays, without ROS: `vision_msgs/Detection2DArray` and `sensor_msgs/Image`.
 
 rclpy spends about 0.1 ms on the objects of each detection. Here a message stays what it was on
 the wire: the five numbers of each box are found, changed in a copy, and everything else travels
@@ -57,6 +57,11 @@ class Text:
 
 
 @dataclass(frozen=True)
+class Octets:
+    """A sequence of bytes: their number, then the bytes."""
+
+
+@dataclass(frozen=True)
 class Many:
     """A sequence: its length, then the elements."""
 
@@ -64,8 +69,9 @@ class Many:
 
 
 Struct: TypeAlias = dict[str, Any]
-"""Fields in order, by name; a value is a `Numbers`, a `Text`, a `Many` or another struct."""
+"""Fields in order, by name; a value is one of the kinds above or another struct."""
 
+_UINT8 = Numbers(1)
 _INT32 = _UINT32 = Numbers(4)
 _FLOAT64 = Numbers(8)
 
@@ -85,6 +91,15 @@ DETECTION_2D: Struct = {
     'id': Text(),
 }
 DETECTION_2D_ARRAY: Struct = {'header': HEADER, 'detections': Many(DETECTION_2D)}
+IMAGE: Struct = {
+    'header': HEADER,
+    'height': _UINT32,
+    'width': _UINT32,
+    'encoding': Text(),
+    'is_bigendian': _UINT8,
+    'step': _UINT32,
+    'data': Octets(),
+}
 
 _BOX = 'detections.bbox.center.position.x'
 _CLASS = 'detections.results.hypothesis.class_id'
@@ -101,7 +116,7 @@ class _Step:
     """One field, flattened: where it goes in the walk and what its parts need at least."""
 
     path: str
-    kind: Numbers | Text | Many
+    kind: Numbers | Text | Octets | Many
     inner: list[_Step] = field(default_factory=list)
 
     @property
@@ -140,7 +155,7 @@ class _Trace:
 class _Walk:
     """Goes through fields one by one, and never leaves the bytes that are there."""
 
-    def __init__(self, words: memoryview, limit: int) -> None:
+    def __init__(self, words: Sequence[int], limit: int) -> None:
         self._words = words
         self._limit = limit
 
@@ -158,6 +173,8 @@ class _Walk:
                 self._numbers(step.path, kind, trace)
             elif isinstance(kind, Text):
                 self._text(step.path, trace)
+            elif isinstance(kind, Octets):
+                self._octets(step.path, trace)
             else:
                 self._many(step, trace)
 
@@ -186,6 +203,12 @@ class _Walk:
         trace.found.setdefault(path, []).append(trace.end)
         trace.end = self._inside(trace.end + length, path)
 
+    def _octets(self, path: str, trace: _Trace) -> None:
+        """Walk over a sequence of bytes."""
+        length = self._length(path, trace)
+        trace.found.setdefault(path, []).append(trace.end)
+        trace.end = self._inside(trace.end + length, path)
+
     def _many(self, step: _Step, trace: _Trace) -> None:
         """Walk over a sequence."""
         for _ in range(self._count(step, trace)):
@@ -202,7 +225,7 @@ class _Walk:
         """Read a length and step behind it."""
         at = self._align(trace, 4)
         trace.end = self._inside(at + 4, path)
-        length = self._words[at // 4]
+        length = int(self._words[at // 4])
         trace.lengths.append((at, length))
         trace.aligned = False
         return length
@@ -762,6 +785,93 @@ def _write_boxes(body: NDArray[np.uint8], boxes_at: IntArray, xywh: FloatArray) 
     numbers = body.view('<f8')
     numbers[boxes_at[:, None] + np.array([0, 1, 3, 4])] = xywh
     numbers[boxes_at + 2] = 0.0
+
+
+@dataclass(frozen=True)
+class WireImage:
+    """
+    A `sensor_msgs/Image` in its bytes.
+
+    Attributes
+    ----------
+    stamp : tuple of int
+        Seconds and nanoseconds.
+    frame_id, encoding : str
+        As in the message; bytes that are no UTF-8 are escaped.
+    width, height : int
+        Pixels.
+    step : int
+        Bytes from one row to the next.
+    is_bigendian : bool
+        Order of the bytes in a pixel.
+    data : memoryview
+        The pixels, a view into the bytes that the message was read from.
+    """
+
+    stamp: tuple[int, int]
+    frame_id: str
+    encoding: str
+    width: int
+    height: int
+    step: int
+    is_bigendian: bool
+    data: memoryview
+
+
+_IMAGE_STEPS = _flatten(IMAGE)
+
+
+def read_image(data: bytes) -> WireImage:
+    """
+    Read an image without copying its pixels.
+
+    Parameters
+    ----------
+    data : bytes
+        A serialized `sensor_msgs/Image` with its encapsulation header, of either endianness, with
+        up to 3 bytes of padding behind it.
+
+    Returns
+    -------
+    WireImage
+        The image, which keeps `data` alive.
+
+    Raises
+    ------
+    WireError
+        If the bytes are no such message.
+    """
+    order = _PLAIN_CDR.get(bytes(data[:ENCAPSULATION]))
+    if order is None:
+        raise NotPlainCdrError(f'encapsulation {bytes(data[:ENCAPSULATION]).hex()}')
+    body = memoryview(data)[ENCAPSULATION:]
+    words: Any = np.frombuffer(body, order + 'u4', len(body) // 4)
+    trace = _Walk(words, len(body)).over(_IMAGE_STEPS, 0)
+    if len(body) - trace.end > 3:
+        raise WireError(f'{len(body) - trace.end} bytes behind the image')
+    lengths = {at + 4: length for at, length in trace.lengths}
+
+    def number(path: str) -> int:
+        return int(words[trace.found[path][0] // 4])
+
+    def content(path: str, closing: int = 0) -> memoryview:
+        at = trace.found[path][0]
+        return body[at : at + lengths[at] - closing]
+
+    def text(path: str) -> str:
+        return bytes(content(path, 1)).decode(errors='backslashreplace')
+
+    seconds = number('header.stamp.sec')
+    return WireImage(
+        stamp=(seconds - (seconds >> 31 << 32), number('header.stamp.nanosec')),
+        frame_id=text('header.frame_id'),
+        encoding=text('encoding'),
+        width=number('width'),
+        height=number('height'),
+        step=number('step'),
+        is_bigendian=bool(body[trace.found['is_bigendian'][0]]),
+        data=content('data'),
+    )
 
 
 def canonical(data: bytes) -> bytes:

@@ -51,7 +51,9 @@ class Monitor:
         """Remember what went wrong, for the next report."""
         self._trouble = text
 
-    def report(self, state: str, parameters: Mapping[str, Any]) -> DiagnosticArray:
+    def report(
+        self, state: str, parameters: Mapping[str, Any], facts: Mapping[str, str]
+    ) -> DiagnosticArray:
         """
         Write the report of the period that ends now.
 
@@ -61,6 +63,8 @@ class Monitor:
             Lifecycle state of the node.
         parameters : mapping of str to value
             Parameters in force.
+        facts : mapping of str to str
+            What else there is to tell.
 
         Returns
         -------
@@ -69,6 +73,7 @@ class Monitor:
         """
         values = {'state': state}
         values.update({name: str(count) for name, count in sorted(self.counts.items())})
+        values.update(facts)
         values.update(self._rate_values())
         values.update(self._latency_values())
         values.update({f'parameter.{name}': str(value) for name, value in parameters.items()})

@@ -11,10 +11,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.converter import Caps
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.crops import CropSettings
 from obbhbb_ros.methods import ONBOARD_METHODS
+from obbhbb_ros.nodes.managed import AUTOSTART
 from obbhbb_ros.nodes.parameters import ParameterSpec
 from obbhbb_ros.nodes.parameters import Values
 
@@ -26,11 +30,7 @@ _INF = math.inf
 IMAGE_SIZE_LIMIT = 1_000_000
 
 TABLE: tuple[ParameterSpec, ...] = (
-    ParameterSpec(
-        'autostart', True,
-        'Configure and activate the node when it starts; without it, a lifecycle manager does.',
-        read_only=True,
-    ),
+    AUTOSTART,
     ParameterSpec(
         'input_type', DETECTIONS,
         'Message type of the input: the first on `detections`, the others on `polygons`.',
@@ -106,9 +106,32 @@ TABLE: tuple[ParameterSpec, ...] = (
         0, IMAGE_SIZE_LIMIT,
     ),
     ParameterSpec(
-        'crop.max_count', 0,
-        'At most so many crop regions a message, best score first; 0 for no bound.',
+        'crop.multiple_of', 0,
+        'Sides of crop regions are multiples of so many pixels, the block of a codec, except where '
+        'the whole side of the image is needed; 0 for any.',
         0, IMAGE_SIZE_LIMIT,
+    ),
+    ParameterSpec(
+        'crop.merge_max_size', 0,
+        'Overlapping crop regions become one where that takes fewer pixels, up to so many pixels '
+        'a side; 0 for no merging.',
+        0, IMAGE_SIZE_LIMIT,
+    ),
+    ParameterSpec(
+        'crop.max_count', 0,
+        'At most so many crop regions a message, most valuable first; 0 for no bound.',
+        0, IMAGE_SIZE_LIMIT,
+    ),
+    ParameterSpec(
+        'crop.max_pixels', 0,
+        'At most so many pixels in the crop regions of a message, filled by falling value; 0 for '
+        'no bound.',
+        0, 10**12,
+    ),
+    ParameterSpec(
+        'compare_outer', False,
+        'Plan the crops of the outer boxes too, and tell in the diagnostics how many pixels fewer '
+        'the plan has.',
     ),
 )
 
@@ -127,6 +150,10 @@ CLASS_TABLE: tuple[ParameterSpec, ...] = (
     ),
     ParameterSpec(
         'classes.<id>.s', 0.0, 'Shrink factor for this class; 0 for that of the node.', 0.0, 2.0,
+    ),
+    ParameterSpec(
+        'classes.<id>.weight', 1.0,
+        'What the score of this class counts when crop regions are ranked.', 0.0, 1e6,
     ),
 )
 
@@ -152,6 +179,10 @@ class Settings:
         Whether detections that cannot be converted are passed on unchanged.
     crop : CropSettings
         How boxes become crop regions.
+    weights : ndarray, shape (number of rules,)
+        What the score of a detection counts, by its rule.
+    compare_outer : bool
+        Whether the crop plan is compared with that of the outer boxes.
     """
 
     rules: tuple[HullRule, ...]
@@ -161,6 +192,8 @@ class Settings:
     theta_scale: float
     keep_invalid: bool
     crop: CropSettings
+    weights: FloatArray
+    compare_outer: bool
 
 
 def build_settings(values: Values | Mapping[str, Any]) -> Settings:
@@ -185,9 +218,11 @@ def build_settings(values: Values | Mapping[str, Any]) -> Settings:
     v: Mapping[str, Any] = values
     rules = [HullRule(v['method'], v['q'], v['f'], v['s'])]
     rule_of_class = {}
+    weights = [1.0]
     for class_id in filter(None, v['class_ids']):
         rule_of_class[class_id] = len(rules)
         rules.append(_class_rule(v, class_id))
+        weights.append(v[f'classes.{class_id}.weight'])
     return Settings(
         rules=tuple(rules),
         rule_of_class=rule_of_class,
@@ -196,6 +231,8 @@ def build_settings(values: Values | Mapping[str, Any]) -> Settings:
         theta_scale=math.pi / 180.0 if v['angle_unit'] == 'deg' else 1.0,
         keep_invalid=v['invalid_policy'] == 'keep',
         crop=_crop_settings(v),
+        weights=np.array(weights),
+        compare_outer=v['compare_outer'],
     )
 
 

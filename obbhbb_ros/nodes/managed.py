@@ -1,0 +1,256 @@
+"""What the managed nodes have in common: life cycle, topics, diagnostics, warnings."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
+from typing import Any
+from typing import Generic
+
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.srv import ChangeState
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import LifecycleNode
+from rclpy.lifecycle import LifecycleState
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.qos import QoSProfile
+from rclpy.qos import ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from obbhbb_ros.nodes.monitor import PERIOD
+from obbhbb_ros.nodes.monitor import Monitor
+from obbhbb_ros.nodes.parameters import LiveParameters
+from obbhbb_ros.nodes.parameters import ParameterSpec
+from obbhbb_ros.nodes.parameters import SettingsT
+from obbhbb_ros.nodes.parameters import Values
+from obbhbb_ros.nodes.process import StartError
+
+_DEPTH = 10
+_WARN_PERIOD = 5.0
+
+AUTOSTART = ParameterSpec(
+    'autostart', True,
+    'Configure and activate the node when it starts; without it, a lifecycle manager does.',
+    read_only=True,
+)
+
+
+class ManagedNode(LifecycleNode, Generic[SettingsT]):
+    """
+    Base of the managed nodes.
+
+    A node creates its topics in `_create_topics` and forgets what it has gathered in `_forget`;
+    it calls `_autostart` at the end of its own `__init__`.
+
+    Parameters
+    ----------
+    name : str
+        Default name of the node.
+    table : sequence of ParameterSpec
+        Its parameters, `AUTOSTART` among them.
+    build : callable
+        Makes settings of all values, see `LiveParameters`.
+    rates : tuple of str
+        Counters whose rate the diagnostics tell as well.
+    per_class : sequence of ParameterSpec
+        Parameters of each class, see `LiveParameters`.
+    **kwargs
+        Passed to `rclpy.lifecycle.LifecycleNode`.
+
+    Raises
+    ------
+    ValueError, rclpy.exceptions.ParameterException
+        If the parameters given at start cannot be used.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        table: Sequence[ParameterSpec],
+        build: Callable[[Values], SettingsT],
+        rates: tuple[str, ...],
+        per_class: Sequence[ParameterSpec] = (),
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(name, **kwargs)
+        self._parameters_in_force = LiveParameters[SettingsT](
+            self, table, build, self._parameter_overrides, per_class
+        )
+        self._warn_of_unknown_parameters()
+        self._monitor = Monitor(self, rates)
+        self._active = False
+        self._silent_until: dict[str, float] = {}
+        self._outputs: list[Any] = []
+        self._inputs: list[Any] = []
+        self._diagnostics_publisher: Any = None
+        self._timer: Any = None
+        self._service_change_state.callback = self._answering_impossible_transitions(
+            self._service_change_state.callback
+        )
+
+    def _create_topics(self) -> None:
+        """Create publishers by `_output` and subscriptions by `_input`."""
+        raise NotImplementedError
+
+    def _forget(self) -> None:
+        """Drop what was gathered from the topics, which are gone."""
+
+    def _facts(self) -> dict[str, str]:
+        """Tell what the diagnostics say besides counters."""
+        return {}
+
+    def _autostart(self) -> None:
+        """
+        Go to the active state without a lifecycle manager, if `autostart` is set.
+
+        Raises
+        ------
+        StartError
+            If the node cannot be configured or activated.
+        """
+        if not self.get_parameter(AUTOSTART.name).value:
+            return
+        for name, transition in (
+            ('configure', self.trigger_configure), ('activate', self.trigger_activate)
+        ):
+            if transition() != TransitionCallbackReturn.SUCCESS:
+                raise StartError(f'{self.get_name()} failed to {name}; the log says why')
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Create the topics; messages are not looked at before activation."""
+        try:
+            self._create_topics()
+            self._diagnostics_publisher = self.create_publisher(DiagnosticArray, '/diagnostics', 1)
+            self._timer = self.create_timer(PERIOD, self._publish_diagnostics)
+        except Exception as error:
+            self.get_logger().fatal(f'cannot configure: {type(error).__name__}: {error}')
+            self._release()
+            return TransitionCallbackReturn.FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to work."""
+        self._active = True
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop working; what arrives is counted and dropped."""
+        self._active = False
+        self._forget()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give every topic back."""
+        self._release()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give every topic back, from whatever state."""
+        self._active = False
+        self._release()
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start over: give every topic back and be unconfigured."""
+        self.get_logger().error(f'error in state {state.label}, going back to unconfigured')
+        self._active = False
+        self._release()
+        return super().on_error(state)
+
+    @property
+    def express_subscription(self) -> Any:
+        """The subscription whose messages the executor hands over by the shortest way."""
+        return self._inputs[0] if self._inputs else None
+
+    def _output(self, message_type: Any, topic: str) -> Any:
+        """Create a publisher that is silent while the node is not active."""
+        publisher = self.create_lifecycle_publisher(
+            message_type,
+            topic,
+            QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        self._outputs.append(publisher)
+        return publisher
+
+    def _input(self, message_type: Any, topic: str, callback: Any, raw: bool = False) -> Any:
+        """Create a subscription that any publisher's reliability fits."""
+        subscription = self.create_subscription(
+            message_type,
+            topic,
+            callback,
+            QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
+            raw=raw,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_message_lost),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        self._inputs.append(subscription)
+        return subscription
+
+    def _release(self) -> None:
+        """Destroy what there is of topics and timer."""
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+        for subscription in self._inputs:
+            self.destroy_subscription(subscription)
+        if self._diagnostics_publisher is not None:
+            self.destroy_publisher(self._diagnostics_publisher)
+        for publisher in self._outputs:
+            self.destroy_lifecycle_publisher(publisher)
+        self._outputs, self._inputs = [], []
+        self._diagnostics_publisher = self._timer = None
+        self._forget()
+
+    def _on_message_lost(self, status: Any) -> None:
+        """Count what the middleware could not deliver."""
+        self._monitor.add('messages_lost', status.total_count_change)
+
+    def _drop_unreadable(self, data: bytes, topic: str, kind: str, error: Exception) -> None:
+        """Count a message that cannot be read as what it should be."""
+        self._monitor.add('messages_unreadable')
+        self._warn(
+            'unreadable message',
+            f'dropped a message of {len(data)} bytes on {topic}, it cannot be read as {kind}: '
+            f'{error}'
+        )
+
+    def _warn(self, kind: str, text: str) -> None:
+        """Warn in the next diagnostics and, each kind at a rate that can be read, in the log."""
+        self._monitor.trouble(text)
+        now = time.monotonic()
+        if now >= self._silent_until.get(kind, now):
+            self._silent_until[kind] = now + _WARN_PERIOD
+            self.get_logger().warning(text)
+
+    def _warn_of_unknown_parameters(self) -> None:
+        """Tell what a parameter file sets in vain."""
+        unknown = self._parameters_in_force.unknown
+        unknown = [name for name in unknown if not name.startswith('qos_overrides.')]
+        if unknown:
+            self.get_logger().warning('unknown parameters, ignored: ' + ', '.join(unknown))
+
+    def _publish_diagnostics(self) -> None:
+        """Tell how things are."""
+        state = self._state_machine.current_state[1]
+        values: Mapping[str, Any] = self._parameters_in_force.values()
+        report = self._monitor.report(state, values, self._facts())
+        self._diagnostics_publisher.publish(report)
+
+    def _answering_impossible_transitions(self, answer: Any) -> Any:
+        """Have the service say no to a transition that the state does not have."""
+
+        def change_state(
+            request: ChangeState.Request, response: ChangeState.Response
+        ) -> ChangeState.Response:
+            # rclpy raises, which leaves the caller without a response.
+            try:
+                return answer(request, response)
+            except rclpy_implementation.RCLError as error:
+                self.get_logger().error(f'transition refused: {error}')
+                response.success = False
+                return response
+
+        return change_state
