@@ -1,5 +1,6 @@
 """Build script, for colcon (ament_python) and for pip."""
 
+from glob import glob
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -31,8 +32,8 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
-        (f'share/{PACKAGE}/config', ['config/obb_to_hbb.yaml', 'config/paper.yaml']),
-        (f'share/{PACKAGE}/launch', ['launch/obb_to_hbb.launch.py']),
+        (f'share/{PACKAGE}/config', sorted(glob('config/*.yaml'))),
+        (f'share/{PACKAGE}/launch', sorted(glob('launch/*.launch.py'))),
     ],
     python_requires='>=3.10',
     install_requires=['numpy>=1.23', 'shapely>=2.0'],
@@ -40,12 +41,14 @@ setup(
         'jazzy': ROS,
         'plots': PLOTS,
         'images': IMAGES,
+        'chips': IMAGES,
         'test': ['hypothesis>=6.80', 'pytest>=7.4', 'colcon-common-extensions', *IMAGES, *LINT],
     },
     entry_points={
         'console_scripts': [
             f'obbhbb = {PACKAGE}.cli:main',
             f'obb_to_hbb = {PACKAGE}.nodes.obb_to_hbb:main',
+            f'chip_extractor = {PACKAGE}.nodes.chip_extractor:main',
             f'play_detections = {PACKAGE}.nodes.play_detections:main',
         ],
     },

@@ -36,7 +36,7 @@ def stored_size(labels: Path) -> tuple[int, int]:
     LabelError
         If there is no such image, it cannot be read, or Pillow is not installed.
     """
-    image = _image_of(labels)
+    image = image_of(labels, labels.stem)
     if image is None:
         raise LabelError(labels, None, f'no image beside it or in images/ to size it: {ADVICE}')
     try:
@@ -49,10 +49,25 @@ def stored_size(labels: Path) -> tuple[int, int]:
         raise LabelError(labels, None, f'cannot read {image} ({error}): {ADVICE}') from error
 
 
-def _image_of(labels: Path) -> Path | None:
+def image_of(labels: Path, stem: str) -> Path | None:
+    """
+    Find the image of a name that belongs to a label file.
+
+    Parameters
+    ----------
+    labels : Path
+        The label file.
+    stem : str
+        Name of the image without folder and suffix.
+
+    Returns
+    -------
+    Path or None
+        The image beside the label file or, as `stored_size` looks for it, in images/.
+    """
     for folder in _image_folders(labels.absolute().parent):
         for suffix in IMAGE_SUFFIXES:
-            for name in (f'{labels.stem}{suffix}', f'{labels.stem}{suffix.upper()}'):
+            for name in (f'{stem}{suffix}', f'{stem}{suffix.upper()}'):
                 if (folder / name).is_file():
                     return folder / name
     return None

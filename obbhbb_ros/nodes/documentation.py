@@ -18,6 +18,7 @@ from typing import Any
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.methods import METHODS
 from obbhbb_ros.nodes import play_detections
+from obbhbb_ros.nodes.chip_settings import CHIP_TABLE
 from obbhbb_ros.nodes.parameters import ParameterSpec
 from obbhbb_ros.nodes.settings import CLASS_TABLE
 from obbhbb_ros.nodes.settings import TABLE
@@ -113,6 +114,7 @@ def readme_tables() -> dict[str, str]:
     return {
         'methods': rows_table(('method', 'what it encloses', 'tuned by', 'in the node'), methods),
         'obb_to_hbb parameters': markdown_table(TABLE + CLASS_TABLE),
+        'chip_extractor parameters': markdown_table(CHIP_TABLE),
         'play_detections parameters': markdown_table(play_detections.TABLE),
         'formats': rows_table(('format', 'files', 'what it is'), formats),
     }
@@ -143,6 +145,9 @@ def documents(root: Path) -> dict[Path, str]:
         root / 'config' / 'paper.yaml': yaml_file(
             "obb_to_hbb: the paper's rule (Algorithm 1) with its best-found parameters.",
             PAPER, TABLE,
+        ),
+        root / 'config' / 'chip_extractor.yaml': yaml_file(
+            'chip_extractor: the default settings. Every parameter is here.', {}, CHIP_TABLE
         ),
         readme: text,
     }

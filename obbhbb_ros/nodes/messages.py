@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PolygonStamped
 from numpy.typing import NDArray
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
 from vision_msgs.msg import BoundingBox2D
 from vision_msgs.msg import Detection2D
@@ -15,11 +16,18 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.chips import Region
 from obbhbb_ros.crops import CropPlan
 from obbhbb_ros.nodes.settings import DETECTIONS
 from obbhbb_ros.nodes.settings import POLYGON
 from obbhbb_ros.nodes.settings import POLYGONS
 from obbhbb_ros.wire import ID_SEPARATOR
+from obbhbb_ros.wire import Detections
+from obbhbb_ros.wire import Forms
+from obbhbb_ros.wire import NotPlainCdrError
+
+# Beyond any image, and exact as a number of pixels.
+_FARTHEST = 2.0**52
 
 
 def message_type(input_type: str) -> Any:
@@ -68,13 +76,19 @@ def boxes_of_detections(message: Detection2DArray, theta_scale: float) -> Orient
     OrientedBoxes
         N boxes.
     """
+    xywhr = xywhr_of(message)
+    xywhr[:, 4] *= theta_scale
+    return OrientedBoxes.from_xywhr(xywhr)
+
+
+def xywhr_of(message: Detection2DArray) -> FloatArray:
+    """Read centre x and y, size x and y, theta of each detection, (N, 5)."""
     xywhr = np.empty((len(message.detections), 5))
     for row, detection in zip(xywhr, message.detections, strict=True):
         box = detection.bbox
         position = box.center.position
         row[:] = position.x, position.y, box.size_x, box.size_y, box.center.theta
-    xywhr[:, 4] *= theta_scale
-    return OrientedBoxes.from_xywhr(xywhr)
+    return xywhr
 
 
 def boxes_of_polygons(message: Any) -> OrientedBoxes:
@@ -173,6 +187,44 @@ def region_boxes(plan: CropPlan) -> FloatArray:
     """Give centre x and y, size x and y of the regions of a plan, (M, 4), pixels."""
     low, high = plan.regions[:, :2], plan.regions[:, 2:]
     return np.hstack(((low + high) / 2.0, (high - low).astype(np.float64)))
+
+
+def read_regions(data: bytes, forms: Forms) -> tuple[tuple[int, int], list[Region]]:
+    """
+    Read the regions of a serialized crop plan.
+
+    Parameters
+    ----------
+    data : bytes
+        A serialized `Detection2DArray`.
+    forms : Forms
+        Memory of the forms of detection in earlier messages.
+
+    Returns
+    -------
+    stamp : tuple of int
+        Seconds and nanoseconds.
+    regions : list of tuple of int
+        x0, y0, x1, y1 in whole pixels, a region's parts of pixels taken in as wholes; empty ones
+        for boxes that are not finite.
+
+    Raises
+    ------
+    Exception
+        Whatever the middleware raises on bytes that are no such message.
+    """
+    try:
+        detections = Detections(data, forms)
+        stamp, xywhr = detections.stamp, detections.xywhr()
+    except NotPlainCdrError:
+        message = deserialize_message(data, Detection2DArray)
+        stamp = message.header.stamp.sec, message.header.stamp.nanosec
+        xywhr = xywhr_of(message)
+    center, half = xywhr[:, :2], xywhr[:, 2:4] / 2.0
+    corners = np.hstack((np.floor(center - half), np.ceil(center + half)))
+    corners[~np.isfinite(corners).all(axis=1)] = 0.0
+    rows = np.clip(corners, -_FARTHEST, _FARTHEST).astype(np.int64).tolist()
+    return stamp, [(x0, y0, x1, y1) for x0, y0, x1, y1 in rows]
 
 
 def image_size(info: CameraInfo) -> tuple[int, int]:

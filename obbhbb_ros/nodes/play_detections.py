@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from array import array
 from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
@@ -15,12 +16,14 @@ from typing import Any
 from geometry_msgs.msg import Point32
 from geometry_msgs.msg import Polygon
 from geometry_msgs.msg import PolygonStamped
+from numpy.typing import NDArray
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2D
 from vision_msgs.msg import Detection2DArray
@@ -31,6 +34,8 @@ from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.labels.images import find_images
+from obbhbb_ros.labels.images import load_image
 from obbhbb_ros.nodes.messages import message_type
 from obbhbb_ros.nodes.parameters import LiveParameters
 from obbhbb_ros.nodes.parameters import ParameterSpec
@@ -62,6 +67,11 @@ TABLE: tuple[ParameterSpec, ...] = (
         'each box is a message of its own.',
         choices=(DETECTIONS, POLYGONS, POLYGON), read_only=True,
     ),
+    ParameterSpec(
+        'images', True,
+        'Publish the images too, on `image`, where they are found: beside the labels or in a '
+        'folder images/ for labels/. Takes Pillow.',
+    ),
     ParameterSpec('frame_id', 'camera', 'Frame of every header.'),
     ParameterSpec(
         'image_width', 0,
@@ -86,6 +96,7 @@ class PlayerSettings:
     """What may change while the player runs."""
 
     loop: bool
+    images: bool
     frame_id: str
 
 
@@ -93,14 +104,15 @@ def _build_settings(values: Mapping[str, Any]) -> PlayerSettings:
     """Make settings of parameter values."""
     if bool(values['image_width']) != bool(values['image_height']):
         raise ValueError('image_width and image_height must be given together')
-    return PlayerSettings(values['loop'], values['frame_id'])
+    return PlayerSettings(values['loop'], values['images'], values['frame_id'])
 
 
 class PlayDetections(Node):
     """
     Node `play_detections`: one message an image, at a rate, once or looped.
 
-    Publishes `detections` or `polygons`, and `camera_info` where the image's size is known.
+    Publishes `detections` or `polygons`, `camera_info` where the image's size is known, and
+    `image` where the image is found.
 
     Parameters
     ----------
@@ -126,18 +138,20 @@ class PlayDetections(Node):
         self._images = list(self._read(values))
         if not self._images:
             raise ValueError(f'no image to play in {values["path"]}')
+        self._files = find_images(self._images)
         self._position = 0
         topic = 'detections' if self._output_type == DETECTIONS else 'polygons'
         self._publisher = self._output(message_type(self._output_type), topic)
         self._camera_publisher = self._output(CameraInfo, 'camera_info')
+        self._image_publisher = self._output(Image, 'image', 4)
         self._timer = self.create_timer(_POLL_PERIOD, self._begin)
 
-    def _output(self, message_class: Any, topic: str) -> Any:
+    def _output(self, message_class: Any, topic: str, depth: int = 100) -> Any:
         """Create a publisher that keeps what a slow reader has not had yet."""
         return self.create_publisher(
             message_class,
             topic,
-            QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE),
+            QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
@@ -179,18 +193,32 @@ class PlayDetections(Node):
                 self._end()
                 return
             self._position = 0
-        labels = self._images[self._position]
+        labels, file = self._images[self._position], self._files[self._position]
         self._position += 1
         header = Header(
             stamp=self.get_clock().now().to_msg(),
             frame_id=self._parameters_in_force.settings.frame_id,
         )
+        image = self._image(file, header)
+        size = labels.size or (image and (image.width, image.height))
         # Before the labels: whoever plans crops needs the size first.
-        if labels.size:
-            width, height = labels.size
+        if size:
+            width, height = size
             self._camera_publisher.publish(CameraInfo(header=header, width=width, height=height))
+        if image:
+            self._image_publisher.publish(image)
         for message in self._messages(labels, header):
             self._publisher.publish(message)
+
+    def _image(self, file: Path | None, header: Header) -> Image | None:
+        """Read an image that is wanted; None if it is not, or cannot be read."""
+        if not self._parameters_in_force.settings.images or file is None:
+            return None
+        try:
+            return image_message(*load_image(file), header)
+        except (ImportError, OSError, ValueError) as error:
+            self.get_logger().error(f'no image: {file}: {error}', throttle_duration_sec=5.0)
+            return None
 
     def _messages(self, labels: ImageLabels, header: Header) -> list[Any]:
         """Write an image's labels in the type that was asked for."""
@@ -245,6 +273,33 @@ def detections_message(labels: ImageLabels, header: Header) -> Detection2DArray:
         detection.results.append(result)
         message.detections.append(detection)
     return message
+
+
+def image_message(encoding: str, pixels: NDArray[Any], header: Header) -> Image:
+    """
+    Write an image.
+
+    Parameters
+    ----------
+    encoding : str
+        As in `sensor_msgs/Image`.
+    pixels : ndarray of uint8 or uint16, shape (H, W) or (H, W, C)
+        The pixels.
+    header : Header
+        Its header.
+
+    Returns
+    -------
+    Image
+        Rows without padding, little-endian.
+    """
+    height, width = pixels.shape[:2]
+    # An array of bytes goes into the message as it is; anything else is checked byte by byte.
+    data = array('B', pixels.astype(pixels.dtype.newbyteorder('<'), order='C').tobytes())
+    return Image(
+        header=header, height=height, width=width, encoding=encoding,
+        is_bigendian=0, step=len(data) // height, data=data,
+    )
 
 
 def polygons_message(labels: ImageLabels, header: Header) -> Any:

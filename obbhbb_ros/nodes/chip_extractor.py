@@ -1,0 +1,214 @@
+"""The chip node: an image and its crop regions in, encoded chips within the link's budget out."""
+
+from __future__ import annotations
+
+import sys
+import time
+from array import array
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CompressedImage
+from sensor_msgs.msg import Image
+from sensor_msgs.msg import RegionOfInterest
+from std_msgs.msg import Header
+from vision_msgs.msg import Detection2DArray
+
+from obbhbb_ros.budget import Chip
+from obbhbb_ros.budget import TokenBucket
+from obbhbb_ros.budget import chips_within_budget
+from obbhbb_ros.chips import ChipError
+from obbhbb_ros.chips import Region
+from obbhbb_ros.chips import format_text
+from obbhbb_ros.chips import pixel_format
+from obbhbb_ros.chips import view_of
+from obbhbb_ros.nodes.chip_settings import CHIP_TABLE
+from obbhbb_ros.nodes.chip_settings import ChipSettings
+from obbhbb_ros.nodes.chip_settings import build_chip_settings
+from obbhbb_ros.nodes.managed import ManagedNode
+from obbhbb_ros.nodes.messages import read_regions
+from obbhbb_ros.nodes.process import run
+from obbhbb_ros.pairing import Pairing
+from obbhbb_ros.pairing import Unpaired
+from obbhbb_ros.wire import Forms
+from obbhbb_ros.wire import WireImage
+from obbhbb_ros.wire import read_image
+
+_IMAGE, _REGIONS = 0, 1
+_KINDS = ('images', 'crop_plans')
+
+
+class ChipExtractor(ManagedNode[ChipSettings]):
+    """
+    Managed node `chip_extractor`.
+
+    Subscribes to `image` and `crop_regions`, publishes `chip/compressed`, `chip/camera_info` and
+    `/diagnostics`. The README documents topics and parameters.
+
+    Parameters
+    ----------
+    **kwargs
+        Passed to `rclpy.lifecycle.LifecycleNode`.
+
+    Raises
+    ------
+    ValueError, rclpy.exceptions.ParameterException
+        If the parameters given at start cannot be used.
+    StartError
+        If `autostart` is set and the node cannot be configured or activated.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(
+            'chip_extractor', CHIP_TABLE, build_chip_settings,
+            ('images_received', 'chips_sent', 'bytes_sent'), **kwargs,
+        )
+        self._forms = Forms()
+        self._pairing = Pairing(self._let_go)
+        self._budget = self._parameters_in_force.settings.budget
+        # The link does not forget what was sent because the node was switched off and on.
+        self._bucket = TokenBucket(self._budget, time.monotonic())
+        self._autostart()
+
+    def _create_topics(self) -> None:
+        """Create publishers and subscriptions; without an encoder there is no point in that."""
+        # Found out here rather than at the first chip.
+        import PIL.Image  # noqa: F401
+
+        self._chips = self._output(CompressedImage, 'chip/compressed')
+        self._places = self._output(CameraInfo, 'chip/camera_info')
+        self._images_in = self._input(Image, 'image', self._on_image, raw=True)
+        self._regions_in = self._input(
+            Detection2DArray, 'crop_regions', self._on_regions, raw=True
+        )
+
+    def _forget(self) -> None:
+        """Let go what waits for a partner."""
+        self._pairing.clear()
+
+    def _facts(self) -> dict[str, str]:
+        """Tell what waits, and what the link has left."""
+        settings = self._settings()
+        self._pairing.expire(time.monotonic(), settings.pairing)
+        waiting = self._pairing.waiting(_REGIONS)
+        return {
+            'chips_waiting': str(sum(map(len, waiting))),
+            'images_waiting': str(len(self._pairing.waiting(_IMAGE))),
+            'budget_available': f'{self._bucket.available(time.monotonic()):.0f}',
+        }
+
+    def _settings(self) -> ChipSettings:
+        """Give the settings in force, and have the link's budget follow them."""
+        settings = self._parameters_in_force.settings
+        if settings.budget != self._budget:
+            self._bucket.change(settings.budget, time.monotonic())
+            self._budget = settings.budget
+        return settings
+
+    def _on_image(self, data: bytes) -> None:
+        """Keep an image for its regions, or cut it if they are there."""
+        self._monitor.add('images_received')
+        if not self._active:
+            self._monitor.add('messages_while_inactive')
+            return
+        try:
+            image = read_image(data)
+        except ValueError as error:
+            self._drop_unreadable(data, self._images_in.topic_name, 'Image', error)
+            return
+        self._pair(_IMAGE, image.stamp, image)
+
+    def _on_regions(self, data: bytes) -> None:
+        """Keep regions for their image, or cut them if it is there."""
+        self._monitor.add('crop_plans_received')
+        if not self._active:
+            self._monitor.add('messages_while_inactive')
+            return
+        try:
+            stamp, regions = read_regions(data, self._forms)
+        except Exception as error:
+            topic = self._regions_in.topic_name
+            self._drop_unreadable(data, topic, 'Detection2DArray', error)
+            return
+        self._monitor.add('chips_planned', len(regions))
+        self._pair(_REGIONS, stamp, regions)
+
+    def _pair(self, kind: int, stamp: tuple[int, int], item: Any) -> None:
+        """Find the partner of a message; cut the frame that the two make."""
+        started = time.perf_counter()
+        settings = self._settings()
+        pair = self._pairing.add(kind, stamp, item, time.monotonic(), settings.pairing)
+        if pair is not None:
+            self._cut(*pair, settings)
+            self._monitor.took(time.perf_counter() - started)
+
+    def _let_go(self, kind: int, reason: Unpaired, item: Any) -> None:
+        """Count what found no partner."""
+        self._monitor.add(f'{_KINDS[kind]}_dropped.{reason.value}')
+        if kind == _REGIONS:
+            self._drop(f'crop_plan_{reason.value}', len(item))
+
+    def _drop(self, reason: str, count: int) -> None:
+        """Count chips that were planned and are not sent."""
+        if count:
+            self._monitor.add(f'chips_dropped.{reason}', count)
+
+    def _cut(self, image: WireImage, regions: Sequence[Region], settings: ChipSettings) -> None:
+        """Cut one frame and publish what the budget allows."""
+        self._monitor.add('frames_paired')
+        if not (self._chips.get_subscription_count() or self._places.get_subscription_count()):
+            self._drop('no_subscriber', len(regions))
+            return
+        try:
+            layout = pixel_format(image.encoding, settings.codec.codec)
+            view = view_of(image)
+        except ChipError as error:
+            self._drop('image_refused', len(regions))
+            seconds, nanoseconds = image.stamp
+            self._warn(
+                'image refused',
+                f'no chips of the image on {self._images_in.topic_name} at stamp '
+                f'{seconds}.{nanoseconds:09d}: {error}'
+            )
+            return
+        dropped: Counter[str] = Counter()
+        chips = chips_within_budget(
+            view, layout, regions, settings.codec, settings.budget, self._bucket,
+            time.monotonic, dropped,
+        )
+        for chip in chips:
+            self._publish(chip, image, settings.codec.codec)
+            self._monitor.add('chips_sent')
+            self._monitor.add('bytes_sent', len(chip.data) + settings.budget.overhead)
+        for reason, count in dropped.items():
+            self._drop(reason, count)
+
+    def _publish(self, chip: Chip, image: WireImage, codec: str) -> None:
+        """Publish a chip and its place."""
+        seconds, nanoseconds = image.stamp
+        header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=image.frame_id)
+        x0, y0, x1, y1 = chip.region
+        roi = RegionOfInterest(
+            x_offset=x0, y_offset=y0, width=x1 - x0, height=y1 - y0, do_rectify=False
+        )
+        self._places.publish(
+            CameraInfo(header=header, width=image.width, height=image.height, roi=roi)
+        )
+        self._chips.publish(
+            CompressedImage(
+                header=header, format=format_text(image.encoding, codec),
+                data=array('B', chip.data),
+            )
+        )
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run the node."""
+    sys.exit(run(ChipExtractor, args))
+
+
+if __name__ == '__main__':
+    main()
