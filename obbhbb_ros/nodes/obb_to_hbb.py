@@ -200,6 +200,24 @@ class ObbToHbb(LifecycleNode):
         """Learn the size of the image."""
         self._camera_size = messages.image_size(info)
 
+    def _take_camera_info(self) -> None:
+        """
+        Learn the size that was published before the message at hand.
+
+        The executor may hand over the message first, though it has both.
+        """
+        subscription = self._subscriptions_in[1]
+        try:
+            while taken := subscription.handle.take_message(subscription.msg_type, False):
+                self._on_camera_info(taken[0])
+        except Exception as error:
+            self._monitor.add('messages_unreadable')
+            self._warn(
+                'unreadable camera_info',
+                f'dropped a message on {subscription.topic_name}, '
+                f'it cannot be read as CameraInfo: {error}',
+            )
+
     def _on_message_lost(self, status: Any) -> None:
         """Count what the middleware could not deliver."""
         self._monitor.add('messages_lost', status.total_count_change)
@@ -263,6 +281,7 @@ class ObbToHbb(LifecycleNode):
         settings: Settings,
     ) -> None:
         """Plan and publish the crop regions of one message."""
+        self._take_camera_info()
         image_size = tuple(
             given or seen
             for given, seen in zip(settings.image_size, self._camera_size, strict=True)

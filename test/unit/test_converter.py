@@ -14,7 +14,7 @@ from strategies import xywhr
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
-from obbhbb_ros.converter import BLOCK
+from obbhbb_ros.boxes import BLOCK
 from obbhbb_ros.converter import Caps
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_with_diagnostics
