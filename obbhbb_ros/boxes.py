@@ -205,7 +205,8 @@ class OrientedBoxes:
             and isfinite(np.add.reduce(area))
             and isfinite(np.add.reduce(center, axis=None))
         ):
-            finite = np.isfinite(np.concatenate((center, first, second))).all(axis=0)
+            numbers = np.concatenate((center, first, second))
+            finite: NDArray[np.bool_] = np.isfinite(numbers).all(axis=0)
             boxes._mark(~finite, Defect.NOT_FINITE)
             empty: NDArray[np.bool_] = np.logical_and(finite, area == 0.0)
             boxes._mark(empty, Defect.EMPTY)
