@@ -155,9 +155,10 @@ class OrientedBoxes:
                 np.multiply(sin, -height, out=second[0, rows])
                 np.multiply(cos, height, out=second[1, rows])
             boxes = cls._checked(center, first, second)
-        if count and array[:, 2:4].min() < 0.0:
-            negative = (array[:, 2:4] < 0.0).any(axis=1) & (boxes.defects != Defect.NOT_FINITE)
-            boxes._mark(negative, Defect.NEGATIVE_SIZE)
+        negative = array[:, 2:4] < 0.0
+        if negative.any():
+            finite = boxes.defects != Defect.NOT_FINITE
+            boxes._mark(np.flatnonzero(negative.any(axis=1) & finite), Defect.NEGATIVE_SIZE)
         return boxes
 
     @classmethod
@@ -206,13 +207,12 @@ class OrientedBoxes:
             and isfinite(np.add.reduce(center, axis=None))
         ):
             numbers = np.concatenate((center, first, second))
-            finite: NDArray[np.bool_] = np.isfinite(numbers).all(axis=0)
-            boxes._mark(~finite, Defect.NOT_FINITE)
-            empty: NDArray[np.bool_] = np.logical_and(finite, area == 0.0)
-            boxes._mark(empty, Defect.EMPTY)
+            finite = np.isfinite(numbers).all(axis=0)
+            boxes._mark(np.flatnonzero(~finite), Defect.NOT_FINITE)
+            boxes._mark(np.flatnonzero(finite & (area == 0.0)), Defect.EMPTY)
         return boxes
 
-    def _mark(self, rows: NDArray[np.bool_], defect: Defect) -> None:
+    def _mark(self, rows: NDArray[np.intp], defect: Defect) -> None:
         """Mark boxes as defective, and let no number of theirs reach a caller."""
         self.defects[rows] = defect
         for array in (self.center, self.first, self.second):

@@ -230,7 +230,8 @@ def half_extents(
                 mine = np.flatnonzero(rule_of == index)
                 if mine.size:
                     extents[:, mine] = _block_extents(boxes.take(mine), rule, caps, slice(None))
-        farthest = np.abs(boxes.center) + extents
+        # The whole size, which messages state, is the first to overflow.
+        farthest = np.abs(boxes.center) + 2.0 * extents
         if not isfinite(np.add.reduce(farthest, axis=None)):
             extents[:, ~np.isfinite(farthest).all(axis=0)] = np.nan
     return extents
