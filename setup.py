@@ -17,6 +17,8 @@ ROS = [
 ]
 PLOTS = ['matplotlib>=3.6']
 IMAGES = ['pillow>=9.0']
+# What the benchmarks measure against.
+PEERS = ['supervision>=0.27']
 LINT = ['mypy>=1.8', 'ruff>=0.6']
 
 setup(
@@ -40,6 +42,7 @@ setup(
         'jazzy': ROS,
         'plots': PLOTS,
         'images': IMAGES,
+        'bench': PEERS,
         'test': ['hypothesis>=6.80', 'pytest>=7.4', 'colcon-common-extensions', *IMAGES, *LINT],
     },
     entry_points={
