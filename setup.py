@@ -18,6 +18,8 @@ ROS = [
 ]
 PLOTS = ['matplotlib>=3.6']
 IMAGES = ['pillow>=9.0']
+# What the benchmarks measure against.
+PEERS = ['supervision>=0.27']
 LINT = ['mypy>=1.8', 'ruff>=0.6']
 
 setup(
@@ -42,6 +44,7 @@ setup(
         'plots': PLOTS,
         'images': IMAGES,
         'chips': IMAGES,
+        'bench': PEERS,
         'test': ['hypothesis>=6.80', 'pytest>=7.4', 'colcon-common-extensions', *IMAGES, *LINT],
     },
     entry_points={

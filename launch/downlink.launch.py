@@ -3,7 +3,7 @@
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import LifecycleNode
+from launch_ros.actions import Node
 
 from launch import LaunchDescription
 
@@ -27,7 +27,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('image', default_value='image', description='topic of the images'),
     ]
     nodes = [
-        LifecycleNode(
+        Node(
             package='obbhbb_ros',
             executable=name,
             name=name,

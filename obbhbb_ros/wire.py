@@ -523,15 +523,17 @@ class Detections:
         self._body = self._buffer[2 * ENCAPSULATION :]
         self._body[limit:] = 0
         words = self._body.view(order + 'u4')[: limit // 4]
-        self._forms = Forms() if forms is None else forms
-        self._forms.make_room()
-        found = _Finder(np.ascontiguousarray(words, np.uint32), limit, self._forms)
+        forms = Forms() if forms is None else forms
+        forms.make_room()
+        found = _Finder(np.ascontiguousarray(words, np.uint32), limit, forms)
         if limit - found.end > 3:
             raise NotPlainCdrError(f'{limit - found.end} bytes behind the message')
         self._found = found
+        # The memory may be emptied for a later message; what this one needs stays.
+        self._templates, self._tables = forms.templates, forms.tables()
         if order == '>':
             self._turn_around()
-        self._blank_padding()
+        self._blank_padding(forms.padding() if len(found.starts) else None)
         self._numbers = self._body.view('<f8')
         self._boxes_at = self._at(0) // 8
 
@@ -541,7 +543,7 @@ class Detections:
 
     def _at(self, table: int) -> IntArray:
         """Tell where a field of each detection lies, by one of the forms' tables."""
-        return self._found.starts + self._forms.tables()[table][self._found.forms]
+        return self._found.starts + self._tables[table][self._found.forms]
 
     @property
     def stamp(self) -> tuple[int, int]:
@@ -572,13 +574,12 @@ class Detections:
         scores : ndarray, shape (N,)
             Its score, NaN where there is none. The first of equals is taken.
         """
-        score_of_form = self._forms.tables()[1]
-        if score_of_form.all():
+        if self._tables[1][self._found.forms].all():
             return self._at(2), self._numbers[self._at(1) // 8]
         scores = np.full(len(self), np.nan)
         classes_at = np.zeros(len(self), np.int64)
         for form, rows in self._rows_by_form():
-            template = self._forms.templates[form]
+            template = self._templates[form]
             if not template.scores.size:
                 continue
             starts = self._found.starts[rows]
@@ -650,7 +651,7 @@ class Detections:
             The serialized message, little-endian.
         """
         raw = self._body.tobytes()
-        found, templates = self._found, self._forms.templates
+        found, templates = self._found, self._templates
         chunks, end = self._beginning(raw, len(rows))
         boxes_at = []
         starts, forms = found.starts[rows].tolist(), found.forms[rows].tolist()
@@ -716,7 +717,7 @@ class Detections:
     def _parts(self, raw: bytes, row: int) -> tuple[bytes, list[tuple[bytes, bytes]], bytes]:
         """Take a detection apart: header, class id and numbers of each hypothesis, id."""
         start = int(self._found.starts[row])
-        template = self._forms.templates[self._found.forms[row]]
+        template = self._templates[self._found.forms[row]]
         # Up to the last byte that is no padding.
         frame_at, frame_size = template.lengths[0]
         header = raw[start : start + frame_at + 4 + frame_size]
@@ -737,11 +738,10 @@ class Detections:
         for rows in np.split(order, bounds) if len(order) else ():
             yield int(forms[rows[0]]), rows
 
-    def _blank_padding(self) -> None:
+    def _blank_padding(self, padding: IntArray | None) -> None:
         """Zero the bytes between fields: what writers leave there is whatever their memory held."""
         found = self._found
         self._body[[*found.header.padding, *range(found.header.end, found.count_at)]] = 0
-        padding = self._forms.padding() if len(self) else None
         if padding is not None:
             at = padding[found.forms]
             at += found.starts[:, None]
@@ -750,7 +750,7 @@ class Detections:
             self._body[at] = 0
             return
         for form, rows in self._rows_by_form():
-            self._body[found.starts[rows][:, None] + self._forms.templates[form].padding] = 0
+            self._body[found.starts[rows][:, None] + self._templates[form].padding] = 0
 
     def _turn_around(self) -> None:
         """Turn the bytes of every number around, from big-endian to little-endian."""
@@ -758,7 +758,7 @@ class Detections:
         places = {size: [at] for size, at in _numbers_by_size(found.header, 0).items()}
         places[4].append(np.array([found.count_at], np.int64))
         for form, rows in self._rows_by_form():
-            for size, relative in self._forms.templates[form].swaps.items():
+            for size, relative in self._templates[form].swaps.items():
                 places[size].append((found.starts[rows][:, None] + relative).ravel())
         for size, parts in places.items():
             numbers = self._body.view(f'u{size}')

@@ -73,7 +73,9 @@ class ObbToHbb(ManagedNode[Settings]):
         self._crops_publisher = self._output(Detection2DArray, 'crop_regions')
         topic = 'detections' if self._input_type == DETECTIONS else 'polygons'
         self._subscription = self._input(self._message_type, topic, self._on_message, raw=True)
-        self._input(CameraInfo, 'camera_info', self._on_camera_info)
+        self._camera_subscription = self._input(
+            CameraInfo, 'camera_info', self._on_camera_info
+        )
         self._camera_size = (0, 0)
 
     def _facts(self) -> dict[str, str]:
@@ -87,6 +89,24 @@ class ObbToHbb(ManagedNode[Settings]):
     def _on_camera_info(self, info: CameraInfo) -> None:
         """Learn the size of the image."""
         self._camera_size = messages.image_size(info)
+
+    def _take_camera_info(self) -> None:
+        """
+        Learn the size that was published before the message at hand.
+
+        The executor may hand over the message first, though it has both.
+        """
+        subscription = self._camera_subscription
+        try:
+            while taken := subscription.handle.take_message(subscription.msg_type, False):
+                self._on_camera_info(taken[0])
+        except Exception as error:
+            self._monitor.add('messages_unreadable')
+            self._warn(
+                'unreadable camera_info',
+                f'dropped a message on {subscription.topic_name}, '
+                f'it cannot be read as CameraInfo: {error}',
+            )
 
     def _on_message(self, data: bytes) -> None:
         """Convert one message under one snapshot of the parameters."""
@@ -150,6 +170,7 @@ class ObbToHbb(ManagedNode[Settings]):
         settings: Settings,
     ) -> None:
         """Plan and publish the crop regions of one message."""
+        self._take_camera_info()
         image_size = tuple(
             given or seen
             for given, seen in zip(settings.image_size, self._camera_size, strict=True)

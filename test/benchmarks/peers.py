@@ -1,14 +1,15 @@
 """Nodes to measure against: a wire, and what a user would write."""
 
+import math
 import sys
 
-import numpy as np
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
+from vision_msgs.msg import Detection2D
 from vision_msgs.msg import Detection2DArray
 
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -34,13 +35,23 @@ class TypedMinMax(Node):
         self.create_subscription(Detection2DArray, 'detections', self._convert, BEST_EFFORT)
 
     def _convert(self, message: Detection2DArray) -> None:
+        answer = Detection2DArray(header=message.header)
         for detection in message.detections:
             box = detection.bbox
-            cos, sin = abs(np.cos(box.center.theta)), abs(np.sin(box.center.theta))
-            width = box.size_x * cos + box.size_y * sin
-            height = box.size_x * sin + box.size_y * cos
-            box.size_x, box.size_y, box.center.theta = float(width), float(height), 0.0
-        self._publisher.publish(message)
+            cos, sin = math.cos(box.center.theta), math.sin(box.center.theta)
+            half_x, half_y = box.size_x / 2, box.size_y / 2
+            x, y = zip(*(
+                (u * half_x * cos - v * half_y * sin, u * half_x * sin + v * half_y * cos)
+                for u, v in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+            ), strict=True)
+            converted = Detection2D(header=detection.header, id=detection.id)
+            converted.results = detection.results
+            converted.bbox.center.position.x = box.center.position.x
+            converted.bbox.center.position.y = box.center.position.y
+            converted.bbox.size_x = max(x) - min(x)
+            converted.bbox.size_y = max(y) - min(y)
+            answer.detections.append(converted)
+        self._publisher.publish(answer)
 
 
 def main() -> None:

@@ -192,9 +192,7 @@ def test_damaged_bytes_raise_the_documented_error_or_are_read(message, data) -> 
 
 @ORDERS
 @pytest.mark.parametrize('count', [2**31, 2**32 - 1, 10**6])
-def test_a_count_that_the_message_cannot_hold_is_refused_without_making_room_for_it(
-    order, count
-) -> None:
+def test_a_count_that_cannot_be_is_refused_without_making_room_for_it(order, count) -> None:
     header = encode(Message(), order)[:-4]
     data = header + struct.pack(order + 'I', count) + bytes(1000)
     tracemalloc.start()
