@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -129,7 +130,7 @@ TABLE: tuple[ParameterSpec, ...] = (
         0, 10**12,
     ),
     ParameterSpec(
-        'compare_outer', False,
+        'crop.compare_outer', False,
         'Plan the crops of the outer boxes too, and tell in the diagnostics how many pixels fewer '
         'the plan has.',
     ),
@@ -232,7 +233,7 @@ def build_settings(values: Values | Mapping[str, Any]) -> Settings:
         keep_invalid=v['invalid_policy'] == 'keep',
         crop=_crop_settings(v),
         weights=np.array(weights),
-        compare_outer=v['compare_outer'],
+        compare_outer=v['crop.compare_outer'],
     )
 
 
@@ -259,7 +260,7 @@ def _caps(values: Mapping[str, Any]) -> Caps:
 def _crop_settings(values: Mapping[str, Any]) -> CropSettings:
     """Collect what stands under `crop.`."""
     prefix = 'crop.'
-    own = {name[len(prefix):]: v for name, v in values.items() if name.startswith(prefix)}
+    own = {field.name: values[prefix + field.name] for field in fields(CropSettings)}
     try:
         return CropSettings(**own)
     except ValueError as error:

@@ -9,6 +9,8 @@ import yaml
 
 import obbhbb_ros
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.nodes.chip_settings import CHIP_TABLE
+from obbhbb_ros.nodes.chip_settings import build_chip_settings
 from obbhbb_ros.nodes.documentation import PAPER
 from obbhbb_ros.nodes.documentation import documents
 from obbhbb_ros.nodes.settings import CLASS_TABLE
@@ -41,7 +43,16 @@ def flat(tree, prefix=''):
     return values
 
 
-@pytest.mark.parametrize('spec', TABLE + CLASS_TABLE, ids=lambda spec: spec.name)
+def test_the_shipped_yaml_of_the_chip_node_states_every_parameter_and_can_be_used() -> None:
+    text = (ROOT / 'config' / 'chip_extractor.yaml').read_text(encoding='utf-8')
+    values = flat(yaml.safe_load(text)['/**']['ros__parameters'])
+    assert values == {spec.name: spec.default for spec in CHIP_TABLE}
+    assert build_chip_settings(values) == build_chip_settings(
+        {spec.name: spec.default for spec in CHIP_TABLE}
+    )
+
+
+@pytest.mark.parametrize('spec', TABLE + CLASS_TABLE + CHIP_TABLE, ids=lambda spec: spec.name)
 def test_every_parameter_is_described_and_its_default_accepted(spec) -> None:
     assert spec.meaning.endswith('.')
     spec.check(spec.default)

@@ -14,7 +14,9 @@ SHARE = [
     'ament_index/resource_index/packages/obbhbb_ros',
     'obbhbb_ros/package.xml',
     'obbhbb_ros/config/obb_to_hbb.yaml',
+    'obbhbb_ros/config/chip_extractor.yaml',
     'obbhbb_ros/config/paper.yaml',
+    'obbhbb_ros/launch/downlink.launch.py',
     'obbhbb_ros/launch/obb_to_hbb.launch.py',
 ]
 
@@ -58,6 +60,7 @@ def test_colcon_builds_a_package_whose_executables_run(source) -> None:
     assert 'q out of range' in finished.stderr
 
 
-def test_the_launch_file_is_python() -> None:
-    path = ROOT / 'launch' / 'obb_to_hbb.launch.py'
+@pytest.mark.parametrize('name', ['obb_to_hbb', 'downlink'])
+def test_the_launch_file_is_python(name) -> None:
+    path = ROOT / 'launch' / f'{name}.launch.py'
     compile(path.read_text(encoding='utf-8'), path, 'exec')

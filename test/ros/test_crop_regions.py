@@ -93,9 +93,9 @@ def test_regions_are_whole_pixels_in_the_image_around_what_is_in_it_of_the_box(
     clipped = np.clip(boxes, 0, limits)
     inside = (clipped[:, 2:] > clipped[:, :2]).all(axis=1)
     assert 0 < inside.sum() < 200
-    # All scores are equal, so the regions come in the order of the boxes.
+    # All scores are equal, so the regions come from left to right.
     expected = np.hstack((np.floor(clipped[:, :2]), np.ceil(clipped[:, 2:])))[inside]
-    np.testing.assert_array_equal(regions, expected)
+    np.testing.assert_array_equal(regions, expected[np.lexsort(expected.T[::-1])])
 
 
 def test_padding_is_a_fraction_of_the_box_and_then_pixels(crops: Crops) -> None:
@@ -118,10 +118,10 @@ def test_a_grown_region_stays_in_the_image(crops: Crops) -> None:
     np.testing.assert_array_equal(got, [(0, 0, 100, 100), (540, 380, 640, 480)])
 
 
-def test_the_best_score_comes_first_and_equals_keep_their_order(crops: Crops) -> None:
+def test_the_best_score_comes_first_and_equals_go_from_left_to_right(crops: Crops) -> None:
     message = scored([0.2, 0.9, float('nan'), 0.5, 0.9, -1.0])
     message.detections.append(detection(SHIP, None, name='6'))
-    assert ids(crops(message)) == ['1', '4', '3', '0', '5', '2', '6']
+    assert ids(crops(message)) == ['1', '4', '3', '0', '5', '6', '2']
 
 
 @pytest.mark.parametrize(('count', 'kept'), [(0, '1203'), (1, '1'), (2, '12'), (9, '1203')])
@@ -141,6 +141,58 @@ def test_header_ids_and_hypotheses_are_kept(crops: Crops) -> None:
     for i, each in zip((1, 0), got.detections, strict=True):
         source = given.detections[i]
         assert (each.header, each.id, each.results) == (source.header, source.id, source.results)
+
+
+def test_a_merged_region_has_the_ids_and_hypotheses_of_all_it_was_made_from(crops: Crops) -> None:
+    rows = [(100.0, 100.0, 40.0, 20.0, 0.0), (300.0, 300.0, 40.0, 20.0, 0.0),
+            (102.0, 100.0, 40.0, 20.0, 0.0)]
+    given = detections(rows)
+    for each, name, score in zip(given.detections, 'abc', (0.5, 0.7, 0.6), strict=True):
+        each.id, each.header.frame_id = name, f'tile_{name}'
+        each.results[0].hypothesis.score = score
+    got = crops(given, crop__merge_max_size=100)
+    np.testing.assert_array_equal(corners(got), [(80, 90, 122, 110), (280, 290, 320, 310)])
+    assert ids(got) == ['c|a', 'b']
+    merged = got.detections[0]
+    assert merged.header == given.detections[2].header
+    assert merged.results == given.detections[2].results + given.detections[0].results
+
+
+def test_sides_are_multiples_of_the_block_of_a_codec(crops: Crops) -> None:
+    sizes = np.diff(corners(crops([SHIP], crop__multiple_of=16)).reshape(2, 2), axis=0)
+    np.testing.assert_array_equal(sizes, [(32, 16)])
+
+
+def test_pixels_are_bounded_and_what_is_left_out_is_counted(
+    crops: Crops, node: Converter
+) -> None:
+    before = node.counts()
+    got = crops(scored([0.5, 0.9, 0.7, 0.1]), crop__max_pixels=700)
+    area = np.prod(corners(got)[:, 2:] - corners(got)[:, :2], axis=1).sum()
+    assert ids(got) == ['1', '2']
+    assert area <= 700
+    changed = node.counts().since(before, 'crop')
+    assert changed['crops_left_out.max_pixels'] == 2
+    assert changed['crop_pixels.planned'] == area
+
+
+def test_the_weight_of_a_class_moves_its_regions_forward(start: Callable[..., Converter]) -> None:
+    node = start(parameters={**SIZE, 'class_ids': ['class2'], 'classes.class2.weight': 3.0})
+    answers = node.peer.collect(Detection2DArray, 'crop_regions')
+    node.connect(answers)
+    assert ids(node.convert(scored([0.5, 0.9, 0.4]), answers)) == ['2', '1', '0']
+
+
+def test_the_plan_is_compared_with_that_of_the_outer_boxes(crops: Crops, node: Converter) -> None:
+    before = node.counts()
+    ship = (200.0, 200.0, 100.0, 20.0, np.pi / 4)
+    tight = corners(crops([ship], crop__compare_outer=True))
+    report = node.counts()
+    changed = report.since(before, 'crop_pixels')
+    assert changed['crop_pixels.compared'] == np.prod(tight[0, 2:] - tight[0, :2])
+    assert changed['crop_pixels.outer_boxes'] == 86 * 86
+    saved = 1.0 - report['crop_pixels.compared'] / report['crop_pixels.outer_boxes']
+    assert report['crop_pixels.saved_percent'] == pytest.approx(100.0 * saved, abs=0.06)
 
 
 def test_regions_follow_the_method(crops: Crops) -> None:

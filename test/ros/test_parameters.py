@@ -38,7 +38,8 @@ CONTRACT = {
     'autostart', 'input_type', 'method', 'q', 'f', 's', 'max_length', 'max_width',
     'ground_sample_distance', 'class_ids', 'image_width', 'image_height', 'angle_unit',
     'invalid_policy', 'crop.padding', 'crop.padding_px', 'crop.min_size', 'crop.max_size',
-    'crop.max_count',
+    'crop.multiple_of', 'crop.merge_max_size', 'crop.max_count', 'crop.max_pixels',
+    'crop.compare_outer',
 }
 
 SHIPS = fleet(8)
@@ -150,7 +151,8 @@ REFUSED = [
     ('angle_unit', 'grad'), ('invalid_policy', 'ignore'),
     ('image_width', -1), ('image_height', 2_000_000),
     ('crop.padding', -0.1), ('crop.padding_px', float('inf')),
-    ('crop.min_size', -1), ('crop.max_count', -1),
+    ('crop.min_size', -1), ('crop.max_count', -1), ('crop.multiple_of', -8),
+    ('crop.merge_max_size', -1), ('crop.max_pixels', -1),
 ]
 
 

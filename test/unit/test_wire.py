@@ -10,6 +10,7 @@ from cdr import MESSAGES
 from cdr import Detection
 from cdr import Hypothesis
 from cdr import Message
+from cdr import Writer
 from cdr import encode
 from cdr import with_box
 from hypothesis import given
@@ -21,6 +22,7 @@ from obbhbb_ros.wire import Forms
 from obbhbb_ros.wire import NotPlainCdrError
 from obbhbb_ros.wire import WireError
 from obbhbb_ros.wire import canonical
+from obbhbb_ros.wire import read_image
 
 ORDERS = pytest.mark.parametrize('order', '<>')
 PADDING = st.sampled_from([0x00, 0xA5])
@@ -246,3 +248,61 @@ def test_a_class_id_that_is_no_utf_8_is_escaped() -> None:
     data = encode(message).replace(b'zzzz', b'\xff\xfe\xfdz')
     found = Detections(data)
     assert found.class_ids(found.best_hypotheses()[0]) == ['\\xff\\xfe\\xfdz']
+
+
+def image(order='<', padding=0, data=bytes(range(60)), frame_id='camera') -> bytes:
+    """Serialize an image of 5 x 4 pixels."""
+    writer = Writer(order, padding)
+    writer.header((-3, 7), frame_id)
+    writer.number('I', 4)
+    writer.number('I', 5)
+    writer.text('rgb8')
+    writer.number('B', 1)
+    writer.number('I', 15)
+    writer.number('I', len(data))
+    writer.data += data
+    return bytes([0, order == '<', 0, 0]) + bytes(writer.data)
+
+
+@ORDERS
+@pytest.mark.parametrize('padding', [0, 0xA5])
+@pytest.mark.parametrize('trailing', range(4))
+@pytest.mark.parametrize('frame_id', ['', 'a', 'ab', 'abc', 'Größe'])
+def test_an_image_is_read(order, padding, trailing, frame_id) -> None:
+    found = read_image(image(order, padding, frame_id=frame_id) + bytes(trailing))
+    assert found.stamp == (-3, 7)
+    assert (found.frame_id, found.encoding) == (frame_id, 'rgb8')
+    assert (found.width, found.height, found.step, found.is_bigendian) == (5, 4, 15, True)
+    assert found.data == bytes(range(60))
+
+
+def test_the_pixels_of_an_image_are_not_copied() -> None:
+    message = image(data=bytes(10**6))
+    pixels = np.frombuffer(read_image(message).data, np.uint8)
+    assert np.shares_memory(pixels, np.frombuffer(message, np.uint8))
+
+
+@ORDERS
+@given(data=st.data())
+def test_an_image_cut_anywhere_is_refused(order, data) -> None:
+    whole = image(order)
+    with pytest.raises(WireError):
+        read_image(whole[: data.draw(st.integers(0, len(whole) - 1))])
+
+
+@given(data=st.data())
+def test_a_damaged_image_raises_the_documented_error_or_is_read(data) -> None:
+    damaged = bytearray(image())
+    for _ in range(data.draw(st.integers(1, 4))):
+        place = data.draw(st.integers(0, len(damaged) - 1))
+        damaged[place] = data.draw(st.sampled_from([0, 1, 2, 0x7F, 0x80, 0xFF]))
+    try:
+        found = read_image(bytes(damaged))
+    except WireError:
+        return
+    assert len(found.data) <= len(damaged)
+
+
+def test_more_behind_an_image_than_padding_is_refused() -> None:
+    with pytest.raises(WireError, match='4 bytes behind the image'):
+        read_image(image() + bytes(4))
