@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import CompressedImage
 from sensor_msgs.msg import Image
@@ -80,7 +81,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
         self._chips = self._output(CompressedImage, 'chip/compressed')
         self._places = self._output(CameraInfo, 'chip/camera_info')
-        self._images_in = self._input(Image, 'image', self._on_image, raw=True)
+        # A large image travels in many pieces; one that is lost unnoticed would cost all of it.
+        self._images_in = self._input(
+            Image, 'image', self._on_image, raw=True, reliability=ReliabilityPolicy.RELIABLE
+        )
         self._regions_in = self._input(
             Detection2DArray, 'crop_regions', self._on_regions, raw=True
         )

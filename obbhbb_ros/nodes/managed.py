@@ -176,13 +176,20 @@ class ManagedNode(LifecycleNode, Generic[SettingsT]):
         self._outputs.append(publisher)
         return publisher
 
-    def _input(self, message_type: Any, topic: str, callback: Any, raw: bool = False) -> Any:
-        """Create a subscription that any publisher's reliability fits."""
+    def _input(
+        self,
+        message_type: Any,
+        topic: str,
+        callback: Any,
+        raw: bool = False,
+        reliability: ReliabilityPolicy = ReliabilityPolicy.BEST_EFFORT,
+    ) -> Any:
+        """Create a subscription, by default one that any publisher's reliability fits."""
         subscription = self.create_subscription(
             message_type,
             topic,
             callback,
-            QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
+            QoSProfile(depth=_DEPTH, reliability=reliability),
             raw=raw,
             event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_message_lost),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import sys
 from array import array
 from collections.abc import Iterator
@@ -48,6 +49,7 @@ from obbhbb_ros.nodes.settings import POLYGONS
 HARBOUR = 'harbour.csv'
 HARBOUR_SIZE = (1024, 768)
 _POLL_PERIOD = 0.1
+_QUIET_POLLS = 3
 
 TABLE: tuple[ParameterSpec, ...] = (
     ParameterSpec(
@@ -140,6 +142,8 @@ class PlayDetections(Node):
             raise ValueError(f'no image to play in {values["path"]}')
         self._files = find_images(self._images)
         self._position = 0
+        self._known_subscribers: list[int] = []
+        self._quiet_polls = 0
         topic = 'detections' if self._output_type == DETECTIONS else 'polygons'
         self._publisher = self._output(message_type(self._output_type), topic)
         self._camera_publisher = self._output(CameraInfo, 'camera_info')
@@ -182,9 +186,25 @@ class PlayDetections(Node):
                 throttle_duration_sec=5.0,
             )
             return
+        if not self._everybody_is_connected():
+            return
         self.destroy_timer(self._timer)
         self._timer = self.create_timer(self._period, self._play_next)
         self._play_next()
+
+    def _everybody_is_connected(self) -> bool:
+        """
+        Tell whether all who are heard of are connected, and nobody new has come for a while.
+
+        The other end of a connection may be made a little later than ours.
+        """
+        publishers = (self._publisher, self._camera_publisher, self._image_publisher)
+        counts = [publisher.get_subscription_count() for publisher in publishers]
+        known = [self.count_subscribers(publisher.topic_name) for publisher in publishers]
+        complete = known == self._known_subscribers and all(map(operator.ge, counts, known))
+        self._quiet_polls = self._quiet_polls + 1 if complete else 0
+        self._known_subscribers = known
+        return self._quiet_polls >= _QUIET_POLLS
 
     def _play_next(self) -> None:
         """Publish the next image's labels, or end."""

@@ -60,8 +60,7 @@ class ChipNode:
         self._diagnostics = self.peer.collect(DiagnosticArray, '/diagnostics')
         self.process = NodeProcess(
             'chip_extractor', site.folder / f'chips_{number}.log',
-            ['-r', f'__ns:={self.namespace}', '-p',
-             'qos_overrides./image.subscription.reliability:=reliable'], parameters,
+            ['-r', f'__ns:={self.namespace}'], parameters,
         )
 
     def _note(self, chip: CompressedImage) -> None:
