@@ -1,0 +1,116 @@
+"""What chips cost by method, on the synthetic harbour and on images beside their labels."""
+
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from obbhbb_ros.chips import encode
+from obbhbb_ros.cli import main
+from obbhbb_ros.crops import CropSettings
+from obbhbb_ros.labels import read_labels
+from obbhbb_ros.labels import write_labels
+from obbhbb_ros.labels.images import find_images
+from obbhbb_ros.labels.images import load_image
+from obbhbb_ros.study.chips import ENCODERS
+from obbhbb_ros.study.chips import RULES
+from obbhbb_ros.study.chips import chip_costs
+from obbhbb_ros.study.chips import render
+from obbhbb_ros.study.harbour import harbour
+
+SMALL = np.arange(12, dtype=np.uint8).reshape(2, 2, 3)
+
+
+def test_the_picture_is_the_same_every_time_and_as_large_as_the_labels_say() -> None:
+    labels = harbour()
+    picture = render(labels)
+    assert picture.shape == (labels.size[1], labels.size[0], 3)
+    np.testing.assert_array_equal(picture, render(labels))
+
+
+def test_costs_are_those_of_the_chips_and_hulls_are_lost_only_by_tight_boxes() -> None:
+    labels = harbour()
+    pixels = render(labels)
+    costs = chip_costs([(labels, pixels)], CropSettings())
+    assert list(costs) == list(RULES)
+    assert {cost.chips for cost in costs.values()} == {len(labels.class_ids)}
+    outer, tight = costs['outer'], costs['superellipse']
+    assert outer.hull_lost == pytest.approx(0.0, abs=1e-6)
+    assert 0.0 < tight.hull_lost < 0.02 * tight.hull
+    assert tight.pixels < outer.pixels
+    assert all(tight.sizes[codec] < outer.sizes[codec] for codec in ENCODERS)
+
+
+def test_padding_out_to_the_whole_image_costs_the_whole_image_and_loses_nothing() -> None:
+    labels = harbour()
+    pixels = render(labels)[:64, :96]
+    costs = chip_costs([(labels, pixels)], CropSettings(padding_px=5000.0))
+    for cost in costs.values():
+        assert cost.hull_lost == pytest.approx(0.0, abs=1e-6)
+        assert cost.pixels == cost.chips * 64 * 96
+        for codec, settings in ENCODERS.items():
+            assert cost.sizes[codec] == cost.chips * len(encode(pixels, settings))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Labels of an image, and the image beside them."""
+    labels = harbour()
+    write_labels(tmp_path / 'harbour.csv', [labels])
+    Image.fromarray(render(labels)).save(tmp_path / 'harbour.png')
+    return tmp_path
+
+
+def test_the_command_prints_a_row_a_method_and_draws(folder, tmp_path, capsys) -> None:
+    assert main(['chips', str(folder), '--picture', str(tmp_path / 'out' / 'costs.png')]) == 0
+    printed = capsys.readouterr().out
+    assert '1 of 1 images found' in printed
+    assert all(f'\n{name} ' in printed for name in RULES)
+    assert (tmp_path / 'out' / 'costs.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_without_images_the_command_says_so(folder, capsys) -> None:
+    (folder / 'harbour.png').unlink()
+    assert main(['chips', str(folder)]) == 1
+    assert 'no image found' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('name', ['harbour.png', 'harbour.JPG', 'ships.tif', '../images/ships.png'])
+def test_an_image_is_found_by_its_name_or_by_that_of_a_table_of_its_own(tmp_path, name) -> None:
+    labels = tmp_path / 'labels' / 'ships.csv'
+    labels.parent.mkdir()
+    write_labels(labels, [harbour()])
+    path = (labels.parent / name).resolve()
+    path.parent.mkdir(exist_ok=True)
+    path.touch()
+    assert find_images(list(read_labels(labels))) == [path]
+
+
+def test_the_file_of_a_table_names_no_image_if_it_has_several(tmp_path) -> None:
+    table = tmp_path / 'ships.csv'
+    write_labels(table, [harbour()])
+    lines = table.read_text().splitlines(keepends=True)
+    table.write_text(''.join([*lines, lines[-1].replace('harbour', 'other', 1)]))
+    Image.fromarray(SMALL).save(tmp_path / 'ships.png')
+    shutil.copy(tmp_path / 'ships.png', tmp_path / 'other.png')
+    found = dict(zip(('harbour', 'other'), find_images(list(read_labels(table))), strict=True))
+    assert found == {'harbour': None, 'other': tmp_path / 'other.png'}
+
+
+@pytest.mark.parametrize(
+    ('mode', 'encoding'),
+    [('L', 'mono8'), ('RGB', 'rgb8'), ('RGBA', 'rgba8'), ('I;16', 'mono16'), ('P', 'rgb8')],
+)
+def test_an_image_is_read_with_its_own_encoding(tmp_path, mode, encoding) -> None:
+    Image.new(mode, (3, 2), 7 if mode in {'L', 'P', 'I;16'} else None).save(tmp_path / 'a.png')
+    found, pixels = load_image(tmp_path / 'a.png')
+    assert found == encoding
+    assert pixels.shape[:2] == (2, 3)
+
+
+def test_a_photograph_is_read_as_it_is_shown(tmp_path) -> None:
+    turned = Image.Exif()
+    turned[0x0112] = 6
+    Image.fromarray(np.zeros((20, 40, 3), np.uint8)).save(tmp_path / 'a.jpg', exif=turned)
+    assert load_image(tmp_path / 'a.jpg')[1].shape == (40, 20, 3)
