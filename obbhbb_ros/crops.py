@@ -183,31 +183,26 @@ def plan_crops(
     usable = np.isfinite(xyxy).all(axis=1)
     rows = np.flatnonzero(usable)
     regions, inside = _regions(xyxy[rows], image_size, settings)
-    values = scores if weights is None else scores * weights
-    values = np.where(np.isnan(values), -np.inf, values)
-    rows, regions = rows[inside], regions[inside]
-    order = _by_value(values[rows], regions, xyxy[rows])
-    rows, regions, values = rows[order], regions[order], values[rows[order]]
     left_out = {
-        LeftOut.INVALID: int((~usable).sum()),
-        LeftOut.OUTSIDE: int((~inside).sum()),
+        LeftOut.INVALID: len(xyxy) - len(rows),
+        LeftOut.OUTSIDE: len(rows) - int(np.count_nonzero(inside)),
     }
+    rows, regions = rows[inside], regions[inside]
+    values = scores[rows] if weights is None else scores[rows] * weights[rows]
+    values = np.where(np.isnan(values), -np.inf, values)
+    order = _by_value(values, regions, xyxy[rows])
+    rows, regions = rows[order], regions[order]
     offsets = np.arange(len(rows) + 1)
     if settings.merge_max_size and len(rows) > 1:
-        regions, rows, offsets = _merged(regions, values, rows, image_size, settings)
-    kept, over = _within_limits(regions, settings)
-    sizes = np.diff(offsets)
-    for reason, indices in over.items():
-        left_out[reason] = int(sizes[indices].sum())
-    if len(kept) < len(regions):
+        regions, rows, offsets = _merged(regions, values[order], rows, image_size, settings)
+    if _over_limits(regions, settings):
+        kept, over = _within_limits(regions, settings)
+        sizes = np.diff(offsets)
+        left_out |= {reason: int(sizes[indices].sum()) for reason, indices in over.items()}
         rows = rows[np.repeat(np.isin(np.arange(len(regions)), kept), sizes)]
-        offsets = np.concatenate(([0], np.cumsum(sizes[kept])))
-    return CropPlan(
-        regions=regions[kept],
-        sources=rows,
-        offsets=offsets,
-        left_out={reason: count for reason, count in left_out.items() if count},
-    )
+        regions, offsets = regions[kept], np.concatenate(([0], np.cumsum(sizes[kept])))
+    left_out = {reason: count for reason, count in left_out.items() if count}
+    return CropPlan(regions, rows, offsets, left_out)
 
 
 def _by_value(
@@ -256,19 +251,21 @@ def _sums(values: FloatArray, group_of: NDArray[np.intp], groups: int) -> FloatA
     return np.where(counts > 0, sums, -np.inf)
 
 
+def _over_limits(regions: NDArray[np.int64], settings: CropSettings) -> bool:
+    """Tell whether the regions together are more than a frame may have."""
+    if 0 < settings.max_count < len(regions):
+        return True
+    return bool(settings.max_pixels and _pixels(regions).sum() > settings.max_pixels)
+
+
 def _within_limits(
     regions: NDArray[np.int64], settings: CropSettings
 ) -> tuple[NDArray[np.intp], dict[LeftOut, list[int]]]:
     """Fill the limits of a frame in the order given; also tell what is over which limit."""
-    count = settings.max_count or len(regions)
-    pixels = _pixels(regions)
-    if not settings.max_pixels or pixels[:count].sum() <= settings.max_pixels:
-        over = {LeftOut.MAX_COUNT: list(range(count, len(regions)))}
-        return np.arange(min(count, len(regions))), over
     kept: list[int] = []
-    over = {LeftOut.MAX_COUNT: [], LeftOut.MAX_PIXELS: []}
-    left = settings.max_pixels
-    for index, size in enumerate(pixels.tolist()):
+    over: dict[LeftOut, list[int]] = {LeftOut.MAX_COUNT: [], LeftOut.MAX_PIXELS: []}
+    count, left = settings.max_count or np.inf, settings.max_pixels or np.inf
+    for index, size in enumerate(_pixels(regions).tolist()):
         if len(kept) == count:
             over[LeftOut.MAX_COUNT].append(index)
         elif size > left:
