@@ -57,7 +57,7 @@ def read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterato
 
     Raises
     ------
-    ModuleNotFoundError
+    ImportError
         If GeoPandas is not installed.
     """
     try:
@@ -82,12 +82,14 @@ def read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterato
 
 def _frame(path: Path) -> Any:
     import geopandas
-    from pyogrio.errors import DataSourceError
 
     try:
-        return geopandas.read_file(path, engine='pyogrio')
-    except (DataSourceError, UnicodeDecodeError) as error:
-        raise LabelError(path, None, f'not a shapefile: {error}') from None
+        return geopandas.read_file(path)
+    except ImportError:
+        raise
+    except Exception as error:
+        # As wide as that because the two engines of GeoPandas raise what they like.
+        raise LabelError(path, None, f'not a shapefile: {error}') from error
 
 
 def write_boxes(path: Path, images: list[ConvertedImage]) -> None:
@@ -107,7 +109,7 @@ def write_boxes(path: Path, images: list[ConvertedImage]) -> None:
     ------
     ValueError
         If the path has another suffix, or a text is longer than the 254 bytes of a field.
-    ModuleNotFoundError
+    ImportError
         If GeoPandas is not installed.
     """
     import geopandas
@@ -117,13 +119,13 @@ def write_boxes(path: Path, images: list[ConvertedImage]) -> None:
     properties, boxes = converted_features(images)
     _check_texts(properties)
     frame = geopandas.GeoDataFrame(_columns(properties), geometry=shapely.box(*boxes.T))
+    # A file without features has to be told what it is without features of; one engine can.
+    options = {'engine': 'pyogrio', 'geometry_type': 'Polygon'} if frame.empty else {}
     path.parent.mkdir(parents=True, exist_ok=True)
     with warnings.catch_warnings():
         # It says that there is no reference system; there is none to write.
         warnings.filterwarnings('ignore', message=".*'crs' was not provided", category=UserWarning)
-        frame.to_file(
-            path, driver=DRIVER, engine='pyogrio', geometry_type='Polygon', encoding='UTF-8'
-        )
+        frame.to_file(path, driver=DRIVER, encoding='UTF-8', **options)
 
 
 def _check_texts(properties: list[dict[str, Any]]) -> None:

@@ -168,7 +168,7 @@ def test_a_table_without_wkt_names_the_columns_it_looks_for(put: Put) -> None:
 def _shapefile(path: Path, geometries: list[object], **columns: list[object]) -> Path:
     geopandas = pytest.importorskip('geopandas')
     frame = geopandas.GeoDataFrame(columns, geometry=geometries, crs='EPSG:32632')
-    frame.to_file(path, driver='ESRI Shapefile', engine='pyogrio')
+    frame.to_file(path, driver='ESRI Shapefile')
     return path
 
 
