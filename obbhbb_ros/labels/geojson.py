@@ -100,7 +100,7 @@ def _rings(geometry: object) -> list[FloatArray]:
     if geometry is None:
         raise ValueError('no geometry')
     kind = json_member(geometry, 'type')
-    if kind not in {'Polygon', 'MultiPolygon'}:
+    if kind not in ('Polygon', 'MultiPolygon'):
         raise ValueError(f'a {kind} is no polygon')
     coordinates = json_member(geometry, 'coordinates')
     polygons = [coordinates] if kind == 'Polygon' else coordinates

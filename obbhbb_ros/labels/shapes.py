@@ -222,9 +222,9 @@ def enclose(path: Path, records: Sequence[Outlined], on_error: OnError) -> list[
     list of Outlined
         Every record with its corners, in the same order.
     """
-    boxes = OrientedBoxes.from_polygons(
-        [record.points for record in records if record.points is not None]
-    )
+    outlines = [record.points for record in records if record.points is not None]
+    with np.errstate(over='ignore', invalid='ignore'):
+        boxes = OrientedBoxes.from_polygons(outlines)
     found = zip(boxes.defects.tolist(), boxes.corners.reshape(-1, 8).tolist(), strict=True)
     complete = []
     for record in records:

@@ -92,7 +92,9 @@ def test_boxes_read_back_as_reference_boxes(tmp_path: Path, format_name: str) ->
         st.tuples(*[st.floats(-1e4, 1e4)] * 2, *[st.floats(1e-3, 1e4)] * 2), min_size=1, max_size=2
     )
 )
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25, deadline=None
+)
 @pytest.mark.parametrize('format_name', ['csv', 'geojson', 'voc'])
 def test_no_digit_is_lost(tmp_path: Path, format_name: str, boxes: list) -> None:
     converted = _converted('P1', *[(x, y, x + w, y + h) for x, y, w, h in boxes])

@@ -85,6 +85,7 @@ def test_a_collection_without_features_is_an_image_without_boxes(put: Put) -> No
     ('bad', 'message'),
     [
         (_feature([1, 2], 'Point'), 'a Point is no polygon'),
+        (_feature([TILTED], ['Polygon']), 'is no polygon'),
         (_feature([]), 'empty'),
         (_feature('x'), 'not an array of rings'),
         (_feature(['x']), 'not a list of positions'),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -213,14 +212,12 @@ LAUGHS = '<!DOCTYPE annotation [<!ENTITY a0 "ha">' + ''.join(
     ],
     ids=['cut off', 'blank', 'other root', 'laughs', 'file', 'encoding', 'entity', 'not UTF-8'],
 )
-def test_a_file_that_cannot_be_used_is_one_error_and_soon_over(
+def test_a_file_that_cannot_be_used_is_one_error(
     put: Put, format_name: str, text: str | bytes, line: int, message: str
 ) -> None:
     errors: list[LabelError] = []
-    begin = time.monotonic()
     path = put('x.xml', text)
     assert list(read_labels(path, format_name, on_error=errors.append)) == []
-    assert time.monotonic() - begin < 5.0
     assert [(error.path, error.line) for error in errors] == [(path, line)]
     assert message in errors[0].message
 
