@@ -230,7 +230,7 @@ def test_the_command_runs_as_a_program_and_is_quiet_in_a_pipe(
 def test_a_box_that_overflows_is_left_out_for_that() -> None:
     huge = Box((-1e308, 0, 1e308, 0, 1e308, 1e308, -1e308, 1e308), 'ship')
     labels = assemble('P1', [huge, Box((0, 0, 4, 0, 4, 2, 0, 2), 'ship', 'b')], None, Path('x'))
-    converted, reasons = convert_image(labels, HullRule('outer', s=2.0), diagnostics=True)
+    converted, reasons = convert_image(labels, HullRule(s=2.0), diagnostics=True)
     assert converted.ids == ('b',)
     assert converted.diagnostics is not None
     assert converted.diagnostics.length.tolist() == [4.0]
