@@ -42,6 +42,8 @@ TILT_BANDS = ((0.0, 15.0), (15.0, 30.0), (30.0, 45.0))
 ASPECT_BANDS = ((1.0, 3.0), (3.0, 5.0), (5.0, 7.0), (7.0, np.inf))
 TILTED = 10.0
 _CONFIDENCE = 0.95
+# Draws at a time, to bound the memory of many images.
+_BATCH = 50
 
 
 @dataclass(frozen=True)
@@ -268,7 +270,7 @@ def evaluate(
     ValueError
         If there is no such protocol, or no ship has the reference box it asks for.
     """
-    scores = []
+    scores: list[Score] = []
     for protocol in protocols:
         chosen = ships_for(ships, protocol)
         tables = {
@@ -277,10 +279,12 @@ def evaluate(
         }
         for stratum, rows in strata(chosen).items():
             images = chosen.image_of[rows]
-            for name, table in tables.items():
-                scores.append(
-                    _score(protocol, stratum, name, rules[name], table[:, rows], images, settings)
-                )
+            overlaps = np.stack([table[0, rows] for table in tables.values()])
+            ends = bootstrap_intervals(overlaps, images, settings.bootstrap, settings.seed)
+            scores += [
+                _score((protocol, stratum, name), rules[name], table[:, rows], images, interval)
+                for (name, table), interval in zip(tables.items(), ends.T, strict=True)
+            ]
     return scores
 
 
@@ -377,15 +381,16 @@ def figures(
 
 
 def _score(
-    protocol: str, stratum: str, name: str, rule: HullRule, table: FloatArray,
-    images: NDArray[np.intp], settings: Settings,
+    names: tuple[str, str, str], rule: HullRule, table: FloatArray, images: NDArray[np.intp],
+    interval: FloatArray,
 ) -> Score:
     """Average the figures of some ships."""
+    protocol, stratum, method = names
     means = dict(zip(FIGURES, table.mean(axis=1).tolist(), strict=True))
-    low, high = bootstrap_interval(table[0], images, settings.bootstrap, settings.seed)
     return Score(
-        protocol=protocol, stratum=stratum, method=name, q=rule.q, f=rule.f, s=rule.s,
-        ships=table.shape[1], images=len(np.unique(images)), iou_low=low, iou_high=high, **means,
+        protocol=protocol, stratum=stratum, method=method, q=rule.q, f=rule.f, s=rule.s,
+        ships=table.shape[1], images=len(np.unique(images)),
+        iou_low=float(interval[0]), iou_high=float(interval[1]), **means,
     )
 
 
@@ -414,19 +419,45 @@ def bootstrap_interval(
     tuple of float
         The 2.5th and the 97.5th percentile of the mean.
     """
-    if not samples:
-        return np.nan, np.nan
-    _, index = np.unique(images, return_inverse=True)
-    counts = np.bincount(index)
-    sums = np.bincount(index, weights=values)
-    random = np.random.default_rng(seed)
-    means = [
-        np.sum(sums[drawn]) / np.sum(counts[drawn])
-        for drawn in random.integers(len(counts), size=(samples, len(counts)))
-    ]
-    tail = (1.0 - _CONFIDENCE) / 2.0
-    low, high = np.quantile(means, (tail, 1.0 - tail))
+    (low,), (high,) = bootstrap_intervals(values[None], images, samples, seed)
     return float(low), float(high)
+
+
+def bootstrap_intervals(
+    values: FloatArray, images: NDArray[np.intp], samples: int = 1000, seed: int = 0
+) -> FloatArray:
+    """
+    Bound several means over the same ships, as `bootstrap_interval` does one.
+
+    Parameters
+    ----------
+    values : ndarray, shape (K, N)
+        K values a ship.
+    images, samples, seed
+        As in `bootstrap_interval`; the draws are the same for all K.
+
+    Returns
+    -------
+    ndarray, shape (2, K)
+        Lower and upper ends.
+    """
+    if not samples:
+        return np.full((2, len(values)), np.nan)
+    _, index = np.unique(images, return_inverse=True)
+    counts = np.bincount(index).astype(float)
+    sums = np.stack([np.bincount(index, weights=row) for row in values], axis=1)
+    random = np.random.default_rng(seed)
+    means = []
+    for start in range(0, samples, _BATCH):
+        batch = min(_BATCH, samples - start)
+        drawn = random.integers(len(counts), size=(batch, len(counts)))
+        # How often each image was drawn: the means are then two products of matrices.
+        offset = np.arange(batch)[:, None] * len(counts)
+        times = np.bincount((drawn + offset).ravel(), minlength=drawn.size)
+        weights = times.reshape(drawn.shape).astype(float)
+        means.append(weights @ sums / (weights @ counts)[:, None])
+    tail = (1.0 - _CONFIDENCE) / 2.0
+    return np.asarray(np.quantile(np.concatenate(means), (tail, 1.0 - tail), axis=0))
 
 
 def score_tables(scores: Sequence[Score], settings: Settings = DEFAULT_SETTINGS) -> str:
