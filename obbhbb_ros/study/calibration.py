@@ -41,6 +41,8 @@ _FIRST_STEP = 0.08
 _LAST_STEP = 5e-4
 _HALVINGS = 40
 _DIGITS = 4
+_AROUND = 0.03
+_SHARES = 5
 
 
 @dataclass(frozen=True)
@@ -361,17 +363,22 @@ def _q_of(u: float) -> float:
 
 
 def _coverage_shape(bench: Bench, plan: Plan) -> tuple[float, float]:
-    """Choose q and f so that the boxes that cover enough ships are smallest, (q, f)."""
+    """
+    Choose q and f so that the boxes that cover enough ships are smallest, (q, f).
+
+    The area is averaged over shares around the asked one: a single quantile of some dozen ships
+    that matter would let chance choose the shape.
+    """
+    around = min(_AROUND, 0.6 * (1.0 - plan.share))
+    shares = np.linspace(plan.share - around, plan.share + around, _SHARES)
 
     def value(point: _Point) -> tuple[float, ...]:
         u, f, _ = point
         extents = bench.extents(_q_of(u), f)
-        needed = np.quantile(
-            bench.needed_shrink(extents, plan.keep), plan.share, method='higher'
-        )
-        if not np.isfinite(needed):
+        needed = np.quantile(bench.needed_shrink(extents, plan.keep), shares, method='higher')
+        if not np.isfinite(needed).all():
             return (-np.inf,)
-        return (-float(bench.relative_area(extents * needed).mean()),)
+        return (-float(np.mean(needed**2) * bench.relative_area(extents).mean()),)
 
     candidates = [(q, f, 1.0) for q in plan.grid.q for f in plan.grid.f]
     start = max(candidates, key=lambda each: value((1.0 - 1.0 / each[0], each[1], 1.0)))
