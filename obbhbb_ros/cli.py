@@ -28,7 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit code.
     """
-    options = _parser().parse_args(arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    options = _parser().parse_args(given, argparse.Namespace(given=given))
     try:
         code: int = options.run(options)
     except ModuleNotFoundError as error:
@@ -205,7 +206,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     print(text)
     if options.output:
         _make_folder_of(options.output)
-        notes = [f'Written by: obbhbb {shlex.join(sys.argv[1:])}', *text.splitlines()]
+        notes = [f'Written by: obbhbb {shlex.join(options.given)}', *text.splitlines()]
         # No detector calls its ships by the names of synthetic families.
         own = {} if options.synthetic else found.rule_of_class
         options.output.write_text(

@@ -24,6 +24,7 @@ from obbhbb_ros.study.calibration import aspect_groups
 from obbhbb_ros.study.calibration import calibrate
 from obbhbb_ros.study.calibration import class_groups
 from obbhbb_ros.study.calibration import enough
+from obbhbb_ros.study.calibration import folds_of
 from obbhbb_ros.study.calibration import held_out_boxes
 from obbhbb_ros.study.calibration import one_rule
 from obbhbb_ros.study.calibration import rule_by_group
@@ -147,6 +148,13 @@ def run(
         raise ValueError('rules by class or aspect ratio are judged on held-out images: give folds')
     outcome = Outcome(plan, ships, calibrate(ships, plan))
     if not folds:
+        return outcome
+    fold = folds_of(ships, folds, seed)
+    if not all(enough(ships.take(fold != index), plan, least=1) for index in range(folds)):
+        outcome.notes.append(
+            f'No held-out figures: without one of {folds} folds the ships are too few for a '
+            f'share of {plan.share:g}.'
+        )
         return outcome
     settings = Settings(keep=plan.keep, bootstrap=0)
 

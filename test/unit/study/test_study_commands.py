@@ -90,6 +90,7 @@ def test_calibrate_writes_the_parameters_that_it_prints(tmp_path, capsys) -> Non
     out = capsys.readouterr().out
     values = yaml.safe_load(path.read_text(encoding='utf-8'))['/**']['ros__parameters']
     assert values['method'] == 'superellipse'
+    assert f'# Written by: obbhbb calibrate {REAL} --folds 3 -o' in path.read_text('utf-8')
     assert 'q {q:.4g}, f {f:.4g}, s {s:.4g}'.format(**values) in out
     assert 'protocol hbb, held out' in out
     ships = read_ships([REAL])

@@ -124,6 +124,16 @@ def test_coverage_says_what_it_guarantees_and_on_what_condition(per_image, unit)
     assert unit in text
 
 
+def test_ships_that_are_too_few_only_without_a_fold_still_give_a_rule() -> None:
+    # Half of 44 ships is enough for 95 %, half of 33 is not: it takes 19.
+    ships = two_classes(HullRule(), HullRule(), count=22)
+    outcome = run(ships, Plan(objective='coverage'), folds=4)
+    assert outcome.held_out == {}
+    assert 'No held-out figures: without one of 4 folds the ships are too few' in outcome_text(
+        outcome
+    )
+
+
 def test_the_file_holds_the_rule_as_the_node_reads_it() -> None:
     text = yaml_text(HullRule('shape_aware', 2.0, 1.0, 1.05), {}, ['first', 'second\nthird'])
     assert text.startswith('# first\n# second\n# third\n/**:\n')
