@@ -3,7 +3,7 @@
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import LifecycleNode
+from launch_ros.actions import Node
 
 from launch import LaunchDescription
 
@@ -32,14 +32,14 @@ def generate_launch_description() -> LaunchDescription:
         )
         for topic in TOPICS
     ]
-    node = LifecycleNode(
+    node = Node(
         package='obbhbb_ros',
         executable='obb_to_hbb',
         name=LaunchConfiguration('name'),
         namespace=LaunchConfiguration('namespace'),
         parameters=[LaunchConfiguration('params_file')],
         remappings=[(topic, LaunchConfiguration(topic)) for topic in TOPICS],
-        arguments=['--ros-args', '--log-level', LaunchConfiguration('log_level')],
+        ros_arguments=['--log-level', LaunchConfiguration('log_level')],
         output='screen',
     )
     return LaunchDescription([*arguments, node])

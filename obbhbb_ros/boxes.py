@@ -8,9 +8,10 @@ extents are even in the angle and have period pi, so its sense of rotation does 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from collections.abc import Iterator
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
+from math import isfinite
 from typing import Any
 from typing import TypeAlias
 
@@ -20,6 +21,15 @@ from numpy.typing import ArrayLike
 from numpy.typing import NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
+
+
+# Boxes worked on at a time: the temporaries of so many stay in a core's own cache.
+BLOCK = 4096
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """Cut `count` rows into slices that fit a core's cache."""
+    return (slice(start, start + BLOCK) for start in range(0, count, BLOCK))
 
 
 class Defect(IntEnum):
@@ -32,31 +42,43 @@ class Defect(IntEnum):
     TOO_FEW_POINTS = 4
 
 
-@dataclass(frozen=True, eq=False)
 class OrientedBoxes:
     """
-    N oriented boxes, kept as centres and half axes.
+    N oriented boxes, kept as centres and half edges.
 
     Build one with `from_corners`, `from_xywhr` or `from_polygons`. Which side is the longer one
-    never matters there: the half axes are sorted. Boxes that cannot be converted keep their place
-    and are marked in `defects`; their numbers are NaN.
+    never matters there. Boxes that cannot be converted keep their place and are marked in
+    `defects`; their numbers are NaN.
 
-    Attributes
+    Parameters
     ----------
     center : ndarray, shape (2, N)
         x and y of the centres, pixels.
-    long_axis : ndarray, shape (2, N)
-        Half the long edge as a vector, pixels: half the length times (cos theta, sin theta).
-    short_axis : ndarray, shape (2, N)
-        Half the short edge as a vector, pixels.
+    first, second : ndarray, shape (2, N)
+        Half of two adjacent edges as vectors, pixels.
     defects : ndarray of uint8, shape (N,)
         A `Defect` for each box.
+
+    Attributes
+    ----------
+    center, first, second, defects : ndarray
+        As given.
     """
 
-    center: FloatArray
-    long_axis: FloatArray
-    short_axis: FloatArray
-    defects: NDArray[np.uint8]
+    __slots__ = ('_axes', 'center', 'defects', 'first', 'second')
+
+    def __init__(
+        self,
+        center: FloatArray,
+        first: FloatArray,
+        second: FloatArray,
+        defects: NDArray[np.uint8],
+    ) -> None:
+        self.center = center
+        self.first = first
+        self.second = second
+        self.defects = defects
+        self._axes: tuple[FloatArray, FloatArray] | None = None
 
     @classmethod
     def from_corners(cls, corners: ArrayLike) -> OrientedBoxes:
@@ -68,8 +90,8 @@ class OrientedBoxes:
         corners : array_like, shape (N, 4, 2)
             x and y of the corners in order around each box, pixels; either sense, any start.
             Corners that are not quite a rectangle, as rounding leaves them, give their mean edges
-            about the middle of their bounds. Crossed corners have no area and are marked empty;
-            `from_polygons` takes vertices in any order.
+            about the middle of the diagonal that is the longer one on each axis. Crossed corners
+            have no area and are marked empty; `from_polygons` takes vertices in any order.
 
         Returns
         -------
@@ -82,16 +104,20 @@ class OrientedBoxes:
             If `corners` does not have that shape or holds anything but numbers.
         """
         array = _as_array(corners, 'corners', (4, 2))
-        c0, c1, c2, c3 = (array[:, i].T for i in range(4))
+        count = len(array)
+        center, first, second = np.empty((3, 2, count))
         with np.errstate(invalid='ignore', over='ignore'):
-            # Not the mean of the corners: so `outer` is their minimum and maximum even where they
-            # were rounded to whole pixels.
-            low = np.minimum(np.minimum(c0, c1), np.minimum(c2, c3))
-            high = np.maximum(np.maximum(c0, c1), np.maximum(c2, c3))
-            center = (low + high) * 0.5
-            first = (c1 - c0 + c2 - c3) * 0.25
-            second = (c2 - c1 + c3 - c0) * 0.25
-        return cls._from_half_edges(center, first, second)
+            for rows in blocks(count):
+                # Transposed and quartered at once: all that follows runs along contiguous memory.
+                c0, c1, c2, c3 = np.multiply(array[rows].transpose(1, 2, 0), 0.25, order='C')
+                diagonal, other = c2 - c0, c3 - c1
+                np.subtract(diagonal, other, out=first[:, rows])
+                np.add(diagonal, other, out=second[:, rows])
+                # Not the mean of the corners: so `outer` is their minimum and maximum even where
+                # they were rounded to whole pixels.
+                longer = np.abs(diagonal, out=diagonal) >= np.abs(other, out=other)
+                np.multiply(np.where(longer, c0 + c2, c1 + c3), 2.0, out=center[:, rows])
+            return cls._checked(center, first, second)
 
     @classmethod
     def from_xywhr(cls, xywhr: ArrayLike) -> OrientedBoxes:
@@ -114,16 +140,25 @@ class OrientedBoxes:
         ValueError
             If `xywhr` does not have that shape or holds anything but numbers.
         """
-        x, y, width, height, theta = _as_array(xywhr, 'xywhr', (5,)).T
+        array = _as_array(xywhr, 'xywhr', (5,))
+        count = len(array)
+        center, first, second = np.empty((3, 2, count))
         with np.errstate(invalid='ignore', over='ignore'):
-            direction = np.stack((np.cos(theta), np.sin(theta)))
-            first = direction * (width * 0.5)
-            second = np.stack((-direction[1], direction[0])) * (height * 0.5)
-        boxes = cls._from_half_edges(np.stack((x, y)), first, second)
-        negative = (width < 0.0) | (height < 0.0)
+            for rows in blocks(count):
+                columns = array[rows].T
+                center[:, rows] = columns[:2]
+                width, height = columns[2:4] * 0.5
+                theta = columns[4]
+                cos, sin = np.cos(theta), np.sin(theta)
+                np.multiply(cos, width, out=first[0, rows])
+                np.multiply(sin, width, out=first[1, rows])
+                np.multiply(sin, -height, out=second[0, rows])
+                np.multiply(cos, height, out=second[1, rows])
+            boxes = cls._checked(center, first, second)
+        negative = array[:, 2:4] < 0.0
         if negative.any():
-            boxes.defects[negative & (boxes.defects != Defect.NOT_FINITE)] = Defect.NEGATIVE_SIZE
-            boxes._blank_defective()
+            finite = boxes.defects != Defect.NOT_FINITE
+            boxes._mark(np.flatnonzero(negative.any(axis=1) & finite), Defect.NEGATIVE_SIZE)
         return boxes
 
     @classmethod
@@ -161,40 +196,27 @@ class OrientedBoxes:
         return boxes
 
     @classmethod
-    def _from_half_edges(
-        cls, center: FloatArray, first: FloatArray, second: FloatArray
-    ) -> OrientedBoxes:
-        """Sort the half edges into long and short, and mark the boxes that cannot be used."""
-        with np.errstate(invalid='ignore', over='ignore'):
-            size_first = first[0] * first[0] + first[1] * first[1]
-            size_second = second[0] * second[0] + second[1] * second[1]
-            product = size_first * size_second * center[0] * center[1]
-            swap = size_second > size_first
-        if swap.any():
-            first, second = np.where(swap, second, first), np.where(swap, first, second)
-        boxes = cls(center, first, second, np.zeros(swap.shape, np.uint8))
-        # One cheap test for the usual case: everything finite and nothing empty. A centre on an
-        # image edge makes the product zero as well, and is then sorted out by the careful one.
-        if not (np.isfinite(product) & (product != 0.0)).all():
-            boxes._mark_defects()
+    def _checked(cls, center: FloatArray, first: FloatArray, second: FloatArray) -> OrientedBoxes:
+        """Mark the boxes that cannot be used."""
+        boxes = cls(center, first, second, np.zeros(center.shape[1], np.uint8))
+        area = np.abs(first[0] * second[1] - first[1] * second[0])
+        # Three reductions settle the usual case: everything finite, and nothing empty.
+        if len(boxes) and not (
+            np.minimum.reduce(area) > 0.0
+            and isfinite(np.add.reduce(area))
+            and isfinite(np.add.reduce(center, axis=None))
+        ):
+            numbers = np.concatenate((center, first, second))
+            finite = np.isfinite(numbers).all(axis=0)
+            boxes._mark(np.flatnonzero(~finite), Defect.NOT_FINITE)
+            boxes._mark(np.flatnonzero(finite & (area == 0.0)), Defect.EMPTY)
         return boxes
 
-    def _mark_defects(self) -> None:
-        """Find the boxes that are not finite or empty."""
-        finite = np.isfinite(self.center).all(axis=0)
-        finite &= np.isfinite(self.long_axis).all(axis=0)
-        finite &= np.isfinite(self.short_axis).all(axis=0)
-        self.defects[~finite] = Defect.NOT_FINITE
-        empty = (self.long_axis == 0.0).all(axis=0) | (self.short_axis == 0.0).all(axis=0)
-        empty &= finite
-        self.defects[empty] = Defect.EMPTY
-        self._blank_defective()
-
-    def _blank_defective(self) -> None:
-        """Let no number of a defective box reach a caller."""
-        defective = self.defects != Defect.NONE
-        for array in (self.center, self.long_axis, self.short_axis):
-            array[:, defective] = np.nan
+    def _mark(self, rows: NDArray[np.intp], defect: Defect) -> None:
+        """Mark boxes as defective, and let no number of theirs reach a caller."""
+        self.defects[rows] = defect
+        for array in (self.center, self.first, self.second):
+            array[:, rows] = np.nan
 
     def __len__(self) -> int:
         """Count the boxes."""
@@ -215,11 +237,30 @@ class OrientedBoxes:
             Those boxes, in that order.
         """
         return OrientedBoxes(
-            self.center[:, rows],
-            self.long_axis[:, rows],
-            self.short_axis[:, rows],
-            self.defects[rows],
+            self.center[:, rows], self.first[:, rows], self.second[:, rows], self.defects[rows]
         )
+
+    @property
+    def long_axis(self) -> FloatArray:
+        """Half the long edge as a vector, pixels, shape (2, N)."""
+        return self._sorted_axes()[0]
+
+    @property
+    def short_axis(self) -> FloatArray:
+        """Half the short edge as a vector, pixels, shape (2, N)."""
+        return self._sorted_axes()[1]
+
+    def _sorted_axes(self) -> tuple[FloatArray, FloatArray]:
+        """Sort the half edges by length, once."""
+        if self._axes is None:
+            with np.errstate(over='ignore'):
+                swap = (self.second**2).sum(axis=0) > (self.first**2).sum(axis=0)
+            if swap.any():
+                first, second = self.first, self.second
+                self._axes = np.where(swap, second, first), np.where(swap, first, second)
+            else:
+                self._axes = self.first, self.second
+        return self._axes
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -229,12 +270,12 @@ class OrientedBoxes:
     @property
     def length(self) -> FloatArray:
         """Length of the long side, pixels, shape (N,)."""
-        return 2.0 * np.hypot(self.long_axis[0], self.long_axis[1])
+        return _whole(self.long_axis)
 
     @property
     def width(self) -> FloatArray:
         """Length of the short side, pixels, shape (N,)."""
-        return 2.0 * np.hypot(self.short_axis[0], self.short_axis[1])
+        return _whole(self.short_axis)
 
     @property
     def theta(self) -> FloatArray:
@@ -246,7 +287,8 @@ class OrientedBoxes:
     def corners(self) -> FloatArray:
         """Corners in order around each box, pixels, shape (N, 4, 2)."""
         c, u, v = self.center, self.long_axis, self.short_axis
-        stacked = np.stack((c - u - v, c + u - v, c + u + v, c - u + v))
+        with np.errstate(over='ignore', invalid='ignore'):
+            stacked = np.stack((c - u - v, c + u - v, c + u + v, c - u + v))
         return np.ascontiguousarray(stacked.transpose(2, 0, 1))
 
 
@@ -262,6 +304,12 @@ def _as_array(values: ArrayLike, name: str, row_shape: tuple[int, ...]) -> Float
         wanted = ', '.join(('N', *map(str, row_shape)))
         raise ValueError(f'{name} must have shape ({wanted}), not {array.shape}')
     return array
+
+
+def _whole(half: FloatArray) -> FloatArray:
+    """Give twice the length of half edges; infinite where that overflows."""
+    with np.errstate(over='ignore'):
+        return 2.0 * np.hypot(half[0], half[1])
 
 
 def _ring_defect(ring: FloatArray) -> Defect:

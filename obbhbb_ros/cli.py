@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(given, argparse.Namespace(given=given))
     try:
         code: int = options.run(options)
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         print(f'obbhbb: {error}; see the extras in the README', file=sys.stderr)
         return 1
     except (OSError, ValueError) as error:
@@ -54,6 +54,7 @@ def _parser() -> argparse.ArgumentParser:
         '--picture', type=Path, default=Path('out/harbour.png'), help='default: %(default)s'
     )
     demo.set_defaults(run=_demo)
+    _add_convert(commands)
     _add_evaluate(commands)
     _add_calibrate(commands)
     _add_report(commands)
@@ -75,6 +76,65 @@ def _demo(options: argparse.Namespace) -> int:
     draw_scene(labels, boxes, options.picture)
     print(f'\npicture: {options.picture}')
     return 0
+
+
+def _add_convert(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe `convert`."""
+    parser = commands.add_parser(
+        'convert', help='label files of oriented boxes to label files of axis-aligned ones'
+    )
+    parser.add_argument('source', metavar='IN', type=Path, help='label file, or folder of them')
+    parser.add_argument('target', metavar='OUT', type=Path, help='file or folder to write')
+    parser.add_argument(
+        '--from', dest='source_format', metavar='FORMAT', help='format of IN; default: detected'
+    )
+    parser.add_argument(
+        '--to', dest='target_format', metavar='FORMAT',
+        help='yolo, coco, voc, geojson, csv or shapefile; default: by the suffix of OUT',
+    )
+    parser.add_argument('--method', default='superellipse', help='default: %(default)s')
+    parser.add_argument('--q', type=float, default=3.0, help='shape exponent, 1 to inf; 3')
+    parser.add_argument('--f', type=float, default=1.0, help='fullness, above 0 to 2; 1')
+    parser.add_argument('--s', type=float, default=1.0, help='shrink factor, above 0 to 2; 1')
+    parser.add_argument('--max-length', type=float, help='cap of the longer side, pixels')
+    parser.add_argument('--max-width', type=float, help='cap of the shorter side, pixels')
+    parser.add_argument(
+        '--diagnostics', action='store_true',
+        help='also write length, width, theta, t_x, t_y and capped of each box',
+    )
+    parser.add_argument(
+        '--image-size', type=int, nargs=2, metavar=('W', 'H'),
+        help='of every image, pixels; default: from labels or images',
+    )
+    parser.add_argument(
+        '--strict', action='store_true', help='exit with 1 if any record was skipped or left out'
+    )
+    parser.set_defaults(run=_convert)
+
+
+def _convert(options: argparse.Namespace) -> int:
+    """Convert files, and sum up."""
+    from obbhbb_ros.converter import Caps
+    from obbhbb_ros.converter import HullRule
+    from obbhbb_ros.study.convert import convert_file
+    from obbhbb_ros.study.progress import note
+
+    tally = convert_file(
+        options.source,
+        options.target,
+        HullRule(options.method, options.q, options.f, options.s),
+        Caps(options.max_length, options.max_width),
+        source_format=options.source_format,
+        target_format=options.target_format,
+        image_size=options.image_size,
+        diagnostics=options.diagnostics,
+        report=note,
+    )
+    print(tally)
+    if not tally.readable:
+        print(f'obbhbb: nothing to convert in {options.source}', file=sys.stderr)
+        return 1
+    return 1 if options.strict and not tally.complete else 0
 
 
 def _add_evaluate(commands: Any) -> None:
@@ -276,24 +336,27 @@ def _add_labels(parser: argparse.ArgumentParser, count: str) -> None:
 
 def _read_ships(options: argparse.Namespace) -> Ships:
     """Read the ships; malformed records are reported, counted and left out."""
+    from obbhbb_ros.study.progress import note
     from obbhbb_ros.study.ships import read_ships
 
     errors: list[LabelError] = []
 
     def report(error: LabelError) -> None:
         errors.append(error)
-        print(f'obbhbb: left out: {error}', file=sys.stderr)
+        note(f'obbhbb: left out: {error}')
 
     size = tuple(options.image_size) if options.image_size else None
     ships = read_ships(
         options.labels, options.format,
         reference=options.reference, image_size=size, on_error=report,
     )
+    if options.reference:
+        found = int(ships.with_reference.sum())
+        note(f'obbhbb: {found} of {len(ships)} ships have a box in {options.reference}')
     if errors or ships.skipped:
-        print(
+        note(
             f'obbhbb: {len(errors)} malformed records and {ships.skipped} boxes without area left '
-            f'out, {len(ships)} ships read',
-            file=sys.stderr,
+            f'out, {len(ships)} ships read'
         )
     return ships
 

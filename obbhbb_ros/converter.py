@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.boxes import blocks
 from obbhbb_ros.methods import METHODS
 from obbhbb_ros.methods import get_method
-
-# Boxes converted at a time: the temporaries of so many stay in a core's own cache.
-BLOCK = 4096
 
 F_RANGE = S_RANGE = (0.0, 2.0)
 
@@ -191,7 +189,7 @@ def convert_by_rule(boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS) 
     """
     xyxy = np.empty((len(boxes), 4))
     with np.errstate(invalid='ignore', over='ignore'):
-        for rows in _blocks(len(boxes)):
+        for rows in blocks(len(boxes)):
             extents = _block_extents(boxes, rule, caps, rows)
             _lay_around(boxes.center[:, rows], extents, xyxy[rows])
     return xyxy
@@ -225,16 +223,17 @@ def half_extents(
     extents = np.empty((2, len(boxes)))
     with np.errstate(invalid='ignore', over='ignore'):
         if rule_of is None:
-            for rows in _blocks(len(boxes)):
+            for rows in blocks(len(boxes)):
                 extents[:, rows] = _block_extents(boxes, rules[0], caps, rows)
         else:
             for index, rule in enumerate(rules):
                 mine = np.flatnonzero(rule_of == index)
                 if mine.size:
                     extents[:, mine] = _block_extents(boxes.take(mine), rule, caps, slice(None))
-        finite = np.isfinite(np.abs(boxes.center) + extents).all(axis=0)
-        if not finite.all():
-            extents[:, ~finite] = np.nan
+        # The whole size, which messages state, is the first to overflow.
+        farthest = np.abs(boxes.center) + 2.0 * extents
+        if not isfinite(np.add.reduce(farthest, axis=None)):
+            extents[:, ~np.isfinite(farthest).all(axis=0)] = np.nan
     return extents
 
 
@@ -261,7 +260,8 @@ def convert_with_diagnostics(
     xyxy = convert_by_rule(boxes, rule, caps)
     uncapped = convert_by_rule(boxes, rule)
     valid = ~np.isnan(xyxy[:, 0])
-    along, across = _reaches(boxes, rule, slice(None))
+    f = rule.f if METHODS[rule.method].tunable else 1.0
+    along, across = np.abs(boxes.long_axis), np.abs(boxes.short_axis) * f
     with np.errstate(invalid='ignore', over='ignore'):
         t_x, t_y = METHODS[rule.method].contact(along, across, rule.q)
     return Conversion(
@@ -298,20 +298,15 @@ def to_xyxy(center: FloatArray, extents: FloatArray) -> FloatArray:
     return xyxy
 
 
-def _blocks(count: int) -> Iterator[slice]:
-    """Cut `count` rows into slices that fit a core's cache."""
-    return (slice(start, start + BLOCK) for start in range(0, count, BLOCK))
-
-
 def _block_extents(
     boxes: OrientedBoxes, rule: HullRule, caps: Caps, rows: slice
 ) -> FloatArray:
     """Compute the half-extents of some rows, (2, n)."""
-    along, across = _reaches(boxes, rule, rows)
     method = METHODS[rule.method]
+    along, across = _reaches(boxes, rule, rows)
     extents = method.half_extents(along, across, rule.q)
     if method.tunable and rule.s != 1.0:
-        extents = extents * rule.s
+        extents *= rule.s
     return _capped(extents, caps) if caps.given else extents
 
 
@@ -319,11 +314,12 @@ def _reaches(
     boxes: OrientedBoxes, rule: HullRule, rows: slice
 ) -> tuple[FloatArray, FloatArray]:
     """Project the hull's half axes, the half-width scaled by the fullness."""
-    along = np.abs(boxes.long_axis[:, rows])
-    across = np.abs(boxes.short_axis[:, rows])
-    if METHODS[rule.method].tunable and rule.f != 1.0:
-        across *= rule.f
-    return along, across
+    method = METHODS[rule.method]
+    f = rule.f if method.tunable else 1.0
+    if method.symmetric and f == 1.0:
+        return np.abs(boxes.first[:, rows]), np.abs(boxes.second[:, rows])
+    along, across = np.abs(boxes.long_axis[:, rows]), np.abs(boxes.short_axis[:, rows])
+    return along, (across if f == 1.0 else across * f)
 
 
 def _capped(extents: FloatArray, caps: Caps) -> FloatArray:
@@ -341,6 +337,5 @@ def _lay_around(center: FloatArray, extents: FloatArray, xyxy: FloatArray) -> No
     """Write the boxes to `xyxy`; rows that overflowed become NaN."""
     np.subtract(center, extents, out=xyxy[:, :2].T)
     np.add(center, extents, out=xyxy[:, 2:].T)
-    infinite = np.isinf(xyxy).any(axis=1)
-    if infinite.any():
-        xyxy[infinite] = np.nan
+    if not isfinite(np.add.reduce(xyxy, axis=None)):
+        xyxy[~np.isfinite(xyxy).all(axis=1)] = np.nan

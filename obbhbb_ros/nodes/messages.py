@@ -151,16 +151,22 @@ def crop_message(message: Detection2DArray, plan: CropPlan) -> Detection2DArray:
         A detection a region, its box from the region's first pixel to behind its last.
     """
     regions = []
-    for source, (x0, y0, x1, y1) in zip(plan.sources, plan.regions.tolist(), strict=True):
+    for source, row in zip(plan.sources, region_boxes(plan).tolist(), strict=True):
         detection = message.detections[source]
         box = BoundingBox2D()
-        _place(box, (x0 + x1) / 2.0, (y0 + y1) / 2.0, float(x1 - x0), float(y1 - y0))
+        _place(box, *row)
         regions.append(
             Detection2D(
                 header=detection.header, results=detection.results, bbox=box, id=detection.id
             )
         )
     return Detection2DArray(header=message.header, detections=regions)
+
+
+def region_boxes(plan: CropPlan) -> FloatArray:
+    """Give centre x and y, size x and y of the regions of a plan, (M, 4), pixels."""
+    low, high = plan.regions[:, :2], plan.regions[:, 2:]
+    return np.hstack(((low + high) / 2.0, (high - low).astype(np.float64)))
 
 
 def image_size(info: CameraInfo) -> tuple[int, int]:

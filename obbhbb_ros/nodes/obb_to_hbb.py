@@ -19,7 +19,6 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
 from vision_msgs.msg import Detection2DArray
 
@@ -30,6 +29,9 @@ from obbhbb_ros.converter import half_extents
 from obbhbb_ros.converter import to_xyxy
 from obbhbb_ros.crops import plan_crops
 from obbhbb_ros.nodes import messages
+from obbhbb_ros.nodes.frames import Frame
+from obbhbb_ros.nodes.frames import TypedFrame
+from obbhbb_ros.nodes.frames import WireFrame
 from obbhbb_ros.nodes.monitor import PERIOD
 from obbhbb_ros.nodes.monitor import Monitor
 from obbhbb_ros.nodes.parameters import LiveParameters
@@ -40,6 +42,8 @@ from obbhbb_ros.nodes.settings import DETECTIONS
 from obbhbb_ros.nodes.settings import TABLE
 from obbhbb_ros.nodes.settings import Settings
 from obbhbb_ros.nodes.settings import build_settings
+from obbhbb_ros.wire import Forms
+from obbhbb_ros.wire import NotPlainCdrError
 
 _DEPTH = 10
 _WARN_PERIOD = 5.0
@@ -73,6 +77,8 @@ class ObbToHbb(LifecycleNode):
         self._warn_of_unknown_parameters()
         self._monitor = Monitor(self, ('messages_received', 'detections_received'))
         self._active = False
+        self._silent_until: dict[str, float] = {}
+        self._forms = Forms()
         self._forget_topics()
         self._service_change_state.callback = self._answering_impossible_transitions(
             self._service_change_state.callback
@@ -185,9 +191,32 @@ class ObbToHbb(LifecycleNode):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
+    @property
+    def express_subscription(self) -> Any:
+        """The subscription whose messages the executor hands over by the shortest way."""
+        return self._subscriptions_in[0] if self._subscriptions_in else None
+
     def _on_camera_info(self, info: CameraInfo) -> None:
         """Learn the size of the image."""
         self._camera_size = messages.image_size(info)
+
+    def _take_camera_info(self) -> None:
+        """
+        Learn the size that was published before the message at hand.
+
+        The executor may hand over the message first, though it has both.
+        """
+        subscription = self._subscriptions_in[1]
+        try:
+            while taken := subscription.handle.take_message(subscription.msg_type, False):
+                self._on_camera_info(taken[0])
+        except Exception as error:
+            self._monitor.add('messages_unreadable')
+            self._warn(
+                'unreadable camera_info',
+                f'dropped a message on {subscription.topic_name}, '
+                f'it cannot be read as CameraInfo: {error}',
+            )
 
     def _on_message_lost(self, status: Any) -> None:
         """Count what the middleware could not deliver."""
@@ -204,44 +233,55 @@ class ObbToHbb(LifecycleNode):
         elif not (wants_boxes or wants_crops):
             self._monitor.add('messages_without_subscriber')
         else:
-            self._convert_typed(data, self._parameters_in_force.settings, wants_boxes, wants_crops)
+            frame = self._read(data)
+            if frame is not None:
+                settings = self._parameters_in_force.settings
+                self._convert(frame, settings, wants_boxes, wants_crops)
             self._monitor.took(time.perf_counter() - started)
 
-    def _convert_typed(
-        self, data: bytes, settings: Settings, wants_boxes: bool, wants_crops: bool
-    ) -> None:
-        """Convert a message by way of message objects."""
+    def _read(self, data: bytes) -> Frame | None:
+        """Read a message the fast way, or else by message objects; None if it is none."""
         try:
-            message = deserialize_message(data, self._message_type)
+            if self._input_type != DETECTIONS:
+                self._monitor.add('typed_path.input_type')
+            else:
+                try:
+                    frame = WireFrame(data, self._forms)
+                    self._monitor.add('fast_path')
+                    return frame
+                except NotPlainCdrError:
+                    self._monitor.add('typed_path.not_plain_cdr')
+            return TypedFrame(data, self._message_type)
         except Exception as error:
             self._drop_unreadable(data, error)
-            return
-        if self._input_type == DETECTIONS:
-            boxes = messages.boxes_of_detections(message, settings.theta_scale)
-        else:
-            boxes = messages.boxes_of_polygons(message)
-            message = messages.detections_from(message)
-        class_ids, scores = messages.best_hypotheses(message)
+            return None
+
+    def _convert(
+        self, frame: Frame, settings: Settings, wants_boxes: bool, wants_crops: bool
+    ) -> None:
+        """Convert one message and publish what is wanted of it."""
+        boxes = frame.boxes(settings.theta_scale)
         rule_of = None
         if settings.rule_of_class:
-            rule_of = messages.rules_of(class_ids, settings.rule_of_class)
+            rule_of = messages.rules_of(frame.class_ids(), settings.rule_of_class)
         extents = half_extents(boxes, settings.rules, rule_of, settings.caps)
-        self._count(message, boxes, extents, settings)
+        self._count(frame, boxes, extents, settings)
         if wants_crops:
-            self._publish_crops(message, boxes, extents, scores, settings)
+            self._publish_crops(frame, boxes, extents, settings)
         if wants_boxes:
-            messages.write_boxes(message, boxes.center, extents, settings.keep_invalid)
-            self._boxes_publisher.publish(message)
+            self._boxes_publisher.publish(
+                frame.boxes_message(boxes.center, extents, settings.keep_invalid)
+            )
 
     def _publish_crops(
         self,
-        message: Detection2DArray,
+        frame: Frame,
         boxes: OrientedBoxes,
         extents: FloatArray,
-        scores: FloatArray,
         settings: Settings,
     ) -> None:
         """Plan and publish the crop regions of one message."""
+        self._take_camera_info()
         image_size = tuple(
             given or seen
             for given, seen in zip(settings.image_size, self._camera_size, strict=True)
@@ -249,19 +289,21 @@ class ObbToHbb(LifecycleNode):
         if not all(image_size):
             self._monitor.add('messages_without_image_size')
             self._warn(
+                'no image size',
                 'no crop regions without the size of the image: set image_width and '
                 'image_height, or publish camera_info'
             )
             return
-        plan = plan_crops(to_xyxy(boxes.center, extents), scores, image_size, settings.crop)
+        xyxy = to_xyxy(boxes.center, extents)
+        plan = plan_crops(xyxy, frame.scores(), image_size, settings.crop)
         self._monitor.add('crops_planned', len(plan.sources))
         for reason, count in plan.left_out.items():
             self._monitor.add(f'crops_left_out.{reason.value}', count)
-        self._crops_publisher.publish(messages.crop_message(message, plan))
+        self._crops_publisher.publish(frame.crops_message(plan))
 
     def _count(
         self,
-        message: Detection2DArray,
+        frame: Frame,
         boxes: OrientedBoxes,
         extents: FloatArray,
         settings: Settings,
@@ -274,11 +316,12 @@ class ObbToHbb(LifecycleNode):
             return
         # A box without a defect that has no extents overflowed.
         defects = np.maximum(boxes.defects[invalid], np.uint8(Defect.NOT_FINITE))
-        self._report_invalid(message, invalid, defects, settings)
+        self._report_invalid(frame, len(boxes), invalid, defects, settings)
 
     def _report_invalid(
         self,
-        message: Detection2DArray,
+        frame: Frame,
+        total: int,
         rows: NDArray[np.intp],
         defects: NDArray[np.uint8],
         settings: Settings,
@@ -287,10 +330,11 @@ class ObbToHbb(LifecycleNode):
         action = 'kept' if settings.keep_invalid else 'dropped'
         for defect, count in zip(*np.unique(defects, return_counts=True), strict=True):
             self._monitor.add(f'detections_{action}.{Defect(defect).name.lower()}', int(count))
-        stamp = message.header.stamp
+        seconds, nanoseconds = frame.stamp
         self._warn(
-            f'{action} {len(rows)} of {len(message.detections)} detections on '
-            f'{self._subscriptions_in[0].topic_name} at stamp {stamp.sec}.{stamp.nanosec:09d}: '
+            'invalid detections',
+            f'{action} {len(rows)} of {total} detections on '
+            f'{self._subscriptions_in[0].topic_name} at stamp {seconds}.{nanoseconds:09d}: '
             f'index {rows[0]} is {Defect(defects[0]).name.lower()}'
         )
 
@@ -298,14 +342,18 @@ class ObbToHbb(LifecycleNode):
         """Count a message that is none."""
         self._monitor.add('messages_unreadable')
         self._warn(
+            'unreadable message',
             f'dropped a message of {len(data)} bytes on {self._subscriptions_in[0].topic_name}, '
             f'it cannot be read as {self._input_type}: {error}'
         )
 
-    def _warn(self, text: str) -> None:
-        """Warn in the log, but not at the rate of the messages, and in the next diagnostics."""
+    def _warn(self, kind: str, text: str) -> None:
+        """Warn in the next diagnostics and, each kind at a rate that can be read, in the log."""
         self._monitor.trouble(text)
-        self.get_logger().warning(text, throttle_duration_sec=_WARN_PERIOD)
+        now = time.monotonic()
+        if now >= self._silent_until.get(kind, now):
+            self._silent_until[kind] = now + _WARN_PERIOD
+            self.get_logger().warning(text)
 
     def _warn_of_unknown_parameters(self) -> None:
         """Tell what a parameter file sets in vain."""

@@ -85,7 +85,10 @@ class ParameterSpec:
         )
         if self.low is not None and self.high is not None:
             if isinstance(self.default, float):
-                bounds = FloatingPointRange(from_value=self.low, to_value=self.high)
+                # An integer would end up as garbage in the message.
+                bounds = FloatingPointRange(
+                    from_value=float(self.low), to_value=float(self.high)
+                )
                 descriptor.floating_point_range.append(bounds)
             else:
                 limits = IntegerRange(from_value=int(self.low), to_value=int(self.high))

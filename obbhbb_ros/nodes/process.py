@@ -8,9 +8,11 @@ from collections.abc import Sequence
 
 import rclpy
 from rclpy.exceptions import ParameterException
+from rclpy.executors import Executor
 from rclpy.executors import ExternalShutdownException
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+
+from obbhbb_ros.nodes.executor import ExpressExecutor
 
 
 class StartError(RuntimeError):
@@ -34,7 +36,12 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         Exit code: 0 after SIGINT, SIGTERM or a shutdown of the context, 1 if the node cannot
         start.
     """
-    rclpy.init(args=args)
+    try:
+        rclpy.init(args=args)
+    except RuntimeError as error:
+        # What stands behind --ros-args cannot be used.
+        print(f'cannot start: {error}', file=sys.stderr)
+        return 1
     try:
         node = make_node()
     except (ParameterException, StartError, ValueError, OSError) as error:
@@ -44,8 +51,7 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
     except (KeyboardInterrupt, ExternalShutdownException):
         rclpy.try_shutdown()
         return 0
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    executor = ExpressExecutor(node)
     try:
         spin(executor, node)
     except KeyboardInterrupt:
@@ -57,7 +63,7 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
     return 0
 
 
-def spin(executor: SingleThreadedExecutor, node: Node) -> None:
+def spin(executor: Executor, node: Node) -> None:
     """Spin until the context ends; an error in a callback is logged and survived."""
     while rclpy.ok():
         try:

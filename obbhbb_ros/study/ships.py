@@ -13,14 +13,11 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
-from obbhbb_ros.converter import convert
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import OnError
+from obbhbb_ros.labels import match_references
 from obbhbb_ros.labels import read_labels
-from obbhbb_ros.study.metrics import iou
-
-# A pair below this is two ships, not one ship labelled twice.
-LEAST_OVERLAP = 0.1
+from obbhbb_ros.study.progress import track
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +172,8 @@ def read_ships(
     format : str, optional
         Format of `paths`; by default it is detected.
     reference : path-like, optional
-        Labels that hold the reference boxes, matched by `match_reference`. By default each ship
-        keeps the one that stands beside it.
+        Labels that hold the reference boxes, matched by image and best overlap, see
+        `obbhbb_ros.labels.match_references`. By default each ship keeps the one beside it.
     image_size : tuple of int, optional
         Width and height of every image, pixels, for normalised formats.
     on_error : callable, optional
@@ -192,80 +189,17 @@ def read_ships(
     ValueError
         If there is none, or a record is malformed and there is no `on_error`.
     """
-    images = [
+    images = tuple(
         labels
         for path in paths
-        for labels in read_labels(path, format, image_size=image_size, on_error=on_error)
-    ]
-    if reference is not None:
-        others = list(read_labels(reference, image_size=image_size, on_error=on_error))
-        images = match_reference(images, others)
-    return Ships.from_labels(images)
-
-
-def match_reference(
-    images: Sequence[ImageLabels],
-    others: Sequence[ImageLabels],
-    least_overlap: float = LEAST_OVERLAP,
-) -> list[ImageLabels]:
-    """
-    Give ships the reference boxes of another file, by image and best overlap.
-
-    Within an image the pairs of outer box and reference box are taken in order of falling IoU, no
-    box twice.
-
-    Parameters
-    ----------
-    images : sequence of ImageLabels
-        The ships.
-    others : sequence of ImageLabels
-        Labels of the same images. A row counts by its reference box, or else by the bounds of its
-        corners.
-    least_overlap : float
-        IoU from which a pair counts, in (0, 1].
-
-    Returns
-    -------
-    list of ImageLabels
-        `images` with their reference boxes replaced; NaN rows where nothing matches.
-    """
-    found: dict[str, list[FloatArray]] = {}
-    for labels in others:
-        found.setdefault(labels.image, []).append(_axis_aligned(labels))
-    none = np.empty((0, 4))
-    return [
-        _with_reference(each, np.concatenate(found.get(each.image, [none])), least_overlap)
-        for each in images
-    ]
-
-
-def _axis_aligned(labels: ImageLabels) -> FloatArray:
-    """Give the reference box of each row, or the bounds of its corners, (N, 4)."""
-    bounds = np.hstack((labels.corners.min(axis=1), labels.corners.max(axis=1)))
-    return np.where(np.isnan(labels.reference), bounds, labels.reference)
-
-
-def _with_reference(
-    labels: ImageLabels, candidates: FloatArray, least_overlap: float
-) -> ImageLabels:
-    """Replace the reference boxes of an image by the best of the candidates."""
-    outer = convert(OrientedBoxes.from_corners(labels.corners), 'outer')
-    ship, other = (grid.ravel() for grid in np.indices((len(outer), len(candidates))))
-    overlap = iou(outer[ship], candidates[other])
-    reference = np.full(outer.shape, np.nan)
-    free = np.ones(len(candidates), dtype=bool)
-    # NaN sorts to the end and is not `>=` anything.
-    for pair in np.argsort(-overlap, kind='stable'):
-        if not overlap[pair] >= least_overlap:
-            break
-        row, column = ship[pair], other[pair]
-        if free[column] and np.isnan(reference[row, 0]):
-            reference[row] = candidates[column]
-            free[column] = False
-    return ImageLabels(
-        labels.image, labels.corners, labels.class_ids, labels.ids, labels.scores, reference,
-        labels.hulls, labels.size, labels.source,
+        for labels in track(
+            read_labels(path, format, image_size=image_size, on_error=on_error), f'reading {path}'
+        )
     )
+    if reference is not None:
+        others = read_labels(reference, image_size=image_size, on_error=on_error)
+        images = match_references(images, track(others, f'reading {reference}')).images
+    return Ships.from_labels(images)
 
 
 def _numbered(names: Sequence[Any]) -> NDArray[np.intp]:

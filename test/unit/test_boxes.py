@@ -88,6 +88,16 @@ def test_a_box_that_is_none_is_marked_and_its_neighbours_are_not(row, defect) ->
     assert np.isfinite(boxes.center[:, [0, 2]]).all()
 
 
+def test_boxes_with_different_defects_are_told_apart_in_one_batch() -> None:
+    good = [5, 5, 4, 2, 0.3]
+    rows = [good, [5, 5, -4, 2, 0.3], [np.nan, 5, 4, 2, 0.3], [5, 5, 4, 0, 0.3], good,
+            [5, np.inf, 4, -2, 0.3]]
+    assert OrientedBoxes.from_xywhr(rows).defects.tolist() == [
+        Defect.NONE, Defect.NEGATIVE_SIZE, Defect.NOT_FINITE, Defect.EMPTY, Defect.NONE,
+        Defect.NOT_FINITE,
+    ]
+
+
 @pytest.mark.parametrize(
     ('polygon', 'defect'),
     [

@@ -14,7 +14,7 @@ from strategies import xywhr
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
-from obbhbb_ros.converter import BLOCK
+from obbhbb_ros.boxes import BLOCK
 from obbhbb_ros.converter import Caps
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_with_diagnostics
@@ -228,12 +228,12 @@ def test_outer_is_the_minimum_and_maximum_of_corners_rounded_to_pixels() -> None
 @given(rows=xywhr(), length=SIDE, width=SIDE)
 def test_caps_bound_the_longer_and_the_shorter_side(rows, length, width) -> None:
     boxes = OrientedBoxes.from_xywhr(rows)
-    free = convert(boxes)
-    capped = convert(boxes, max_length=length, max_width=width)
-    free_sides, sides = free[:, 2:] - free[:, :2], capped[:, 2:] - capped[:, :2]
-    lies_on_x = free_sides[:, 0] >= free_sides[:, 1]
-    limit = np.where(lies_on_x[:, None], [length, width], [width, length])
-    np.testing.assert_allclose(sides, np.minimum(free_sides, limit), atol=1e-9)
+    free = 2.0 * half_extents(boxes, [HullRule()])
+    capped = 2.0 * half_extents(boxes, [HullRule()], caps=Caps(length, width))
+    limit = np.where(free[0] >= free[1], [[length], [width]], [[width], [length]])
+    np.testing.assert_array_equal(capped, np.minimum(free, limit))
+    xyxy = convert(boxes, max_length=length, max_width=width)
+    np.testing.assert_allclose((xyxy[:, 2:] - xyxy[:, :2]).T, capped, atol=1e-9)
 
 
 @pytest.mark.parametrize('count', [0, 1, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK + 7])

@@ -66,13 +66,16 @@ def test_without_reference_boxes_the_oriented_boxes_are_compared_with(tmp_path, 
 
 def test_reference_boxes_of_another_file_are_matched(tmp_path, capsys) -> None:
     write_labels(tmp_path / 'ships.csv', [labels('a', [[0, 0, 20, 10]])])
-    write_labels(tmp_path / 'drawn.csv', [labels('a', [[0, 0, 20, 8]])])
+    drawn = [[0.0, 0.0, 20.0, 8.0]]
+    write_labels(tmp_path / 'drawn.csv', [labels('a', drawn, drawn)])
     code = main([
         'evaluate', str(tmp_path / 'ships.csv'), '--reference', str(tmp_path / 'drawn.csv'),
         '--protocol', 'hbb', '--methods', 'outer', '--bootstrap', '0',
     ])
     assert code == 0
-    assert re.search(r'^outer +0\.8000 ', capsys.readouterr().out, re.MULTILINE)
+    printed = capsys.readouterr()
+    assert re.search(r'^outer +0\.8000 ', printed.out, re.MULTILINE)
+    assert '1 of 1 ships have a box in' in printed.err
 
 
 def test_a_malformed_record_is_reported_counted_and_left_out(tmp_path, capsys) -> None:

@@ -8,7 +8,6 @@ from fleets import labels
 
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.study.ships import Ships
-from obbhbb_ros.study.ships import match_reference
 from obbhbb_ros.study.ships import read_ships
 
 UPRIGHT = [[0, 0, 20, 10], [50, 0, 70, 10]]
@@ -53,38 +52,13 @@ def test_aspect_is_the_long_side_over_the_short_one(sides) -> None:
     assert fleet([[0, 0, *sides, 0.3]]).aspect == pytest.approx(4.0)
 
 
-def test_references_of_another_file_go_to_the_best_overlap_within_the_image() -> None:
-    ships = [labels('a', UPRIGHT), labels('b', UPRIGHT[:1])]
-    near, far = [51, 0, 69, 10], [1, 0, 21, 10]
-    matched = match_reference(ships, [labels('a', [near, far, [0, 0, 18, 10]])])
-    # [0, 0, 18, 10] overlaps the first ship by 0.9, `far` by 0.905.
-    np.testing.assert_array_equal(matched[0].reference, [far, near])
-    assert np.isnan(matched[1].reference).all()
-
-
-def test_a_reference_is_given_to_one_ship_only() -> None:
-    ships = labels('a', [[0, 0, 20, 10], [2, 0, 22, 10]])
-    (matched,) = match_reference([ships], [labels('a', [[2, 0, 21, 10]])])
-    assert np.isnan(matched.reference[:, 0]).tolist() == [True, False]
-
-
-def test_a_row_of_the_other_file_counts_by_its_reference_box_if_it_has_one() -> None:
-    drawn = [[1.0, 1.0, 19.0, 9.0]]
-    other = labels('a', UPRIGHT[:1], reference=drawn)
-    (matched,) = match_reference([labels('a', UPRIGHT[:1])], [other])
-    np.testing.assert_array_equal(matched.reference, drawn)
-
-
-def test_what_hardly_overlaps_is_another_ship() -> None:
-    (matched,) = match_reference([labels('a', UPRIGHT[:1])], [labels('a', [[19, 0, 39, 10]])])
-    assert np.isnan(matched.reference).all()
-
-
 def test_references_are_read_from_their_own_file(tmp_path) -> None:
     write_labels(tmp_path / 'ships.csv', [labels('a', UPRIGHT)])
-    write_labels(tmp_path / 'drawn.csv', [labels('a', [[1, 0, 20, 10]])])
+    drawn = [[1.0, 0.0, 20.0, 10.0]]
+    write_labels(tmp_path / 'drawn.csv', [labels('a', drawn, drawn)])
     ships = read_ships([tmp_path / 'ships.csv'], reference=tmp_path / 'drawn.csv')
     assert ships.with_reference.tolist() == [True, False]
+    assert ships.reference[0].tolist() == drawn[0]
 
 
 def test_malformed_records_go_to_on_error(tmp_path) -> None:

@@ -1,0 +1,176 @@
+"""
+One input message as the node sees it, whichever way it was read.
+
+`WireFrame` works on the message's bytes, `TypedFrame` on message objects: it takes what the other
+declines, and is the reference that tests hold it against. Both write the same bytes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+from typing import Protocol
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+from rclpy.serialization import serialize_message
+from vision_msgs.msg import Detection2DArray
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.crops import CropPlan
+from obbhbb_ros.nodes import messages
+from obbhbb_ros.wire import Detections
+from obbhbb_ros.wire import Forms
+from obbhbb_ros.wire import canonical
+
+
+class Frame(Protocol):
+    """What the node asks of an input message."""
+
+    @property
+    def stamp(self) -> tuple[int, int]:
+        """Seconds and nanoseconds of the message's stamp."""
+
+    def boxes(self, theta_scale: float) -> OrientedBoxes:
+        """Read the N oriented boxes; `theta_scale` turns the input's angles into radians."""
+
+    def class_ids(self) -> list[str]:
+        """Read the class of each detection's best hypothesis."""
+
+    def scores(self) -> FloatArray:
+        """Read the score of each detection's best hypothesis, NaN where there is none; (N,)."""
+
+    def boxes_message(self, center: FloatArray, extents: FloatArray, keep_invalid: bool) -> bytes:
+        """Write the message with axis-aligned boxes; a NaN extent keeps or drops its detection."""
+
+    def crops_message(self, plan: CropPlan) -> bytes:
+        """Write a crop plan with the ids and hypotheses of its detections."""
+
+
+class WireFrame:
+    """
+    A `Detection2DArray` in its bytes.
+
+    Parameters
+    ----------
+    data : bytes
+        The serialized message.
+    forms : Forms
+        Memory of the forms of detection in earlier messages.
+
+    Raises
+    ------
+    obbhbb_ros.wire.NotPlainCdrError
+        If the bytes want the typed path.
+    obbhbb_ros.wire.WireError
+        If they cannot be read at all.
+    """
+
+    def __init__(self, data: bytes, forms: Forms) -> None:
+        self._detections = Detections(data, forms)
+        self._hypotheses: Any = None
+
+    @property
+    def stamp(self) -> tuple[int, int]:
+        """See `Frame`."""
+        return self._detections.stamp
+
+    def boxes(self, theta_scale: float) -> OrientedBoxes:
+        """See `Frame`."""
+        xywhr = self._detections.xywhr()
+        if theta_scale != 1.0:
+            xywhr[:, 4] *= theta_scale
+        return OrientedBoxes.from_xywhr(xywhr)
+
+    def class_ids(self) -> list[str]:
+        """See `Frame`."""
+        return self._detections.class_ids(self._best()[0])
+
+    def scores(self) -> FloatArray:
+        """See `Frame`."""
+        scores: FloatArray = self._best()[1]
+        return scores
+
+    def boxes_message(self, center: FloatArray, extents: FloatArray, keep_invalid: bool) -> bytes:
+        """See `Frame`."""
+        valid = np.isfinite(extents[0])
+        xywh = np.concatenate((center, 2.0 * extents)).T
+        if valid.all():
+            return self._detections.rewrite(xywh)
+        if keep_invalid:
+            return self._detections.rewrite(xywh, valid)
+        return self._detections.selected(np.flatnonzero(valid), xywh[valid])
+
+    def crops_message(self, plan: CropPlan) -> bytes:
+        """See `Frame`."""
+        return self._detections.selected(plan.sources, messages.region_boxes(plan))
+
+    def _best(self) -> Any:
+        """Find the best hypotheses once."""
+        if self._hypotheses is None:
+            self._hypotheses = self._detections.best_hypotheses()
+        return self._hypotheses
+
+
+class TypedFrame:
+    """
+    A message of any input type, by way of message objects.
+
+    Parameters
+    ----------
+    data : bytes
+        The serialized message.
+    message_type : type
+        Its class.
+
+    Raises
+    ------
+    Exception
+        Whatever the middleware raises on bytes that are no such message.
+    """
+
+    def __init__(self, data: bytes, message_type: Any) -> None:
+        message = deserialize_message(data, message_type)
+        self._polygons = None
+        if message_type is not Detection2DArray:
+            self._polygons = message
+            message = messages.detections_from(message)
+        self._message = message
+        self._hypotheses: Any = None
+
+    @property
+    def stamp(self) -> tuple[int, int]:
+        """See `Frame`."""
+        stamp = self._message.header.stamp
+        return stamp.sec, stamp.nanosec
+
+    def boxes(self, theta_scale: float) -> OrientedBoxes:
+        """See `Frame`."""
+        if self._polygons is not None:
+            return messages.boxes_of_polygons(self._polygons)
+        return messages.boxes_of_detections(self._message, theta_scale)
+
+    def class_ids(self) -> list[str]:
+        """See `Frame`."""
+        class_ids: list[str] = self._best()[0]
+        return class_ids
+
+    def scores(self) -> FloatArray:
+        """See `Frame`."""
+        scores: FloatArray = self._best()[1]
+        return scores
+
+    def boxes_message(self, center: FloatArray, extents: FloatArray, keep_invalid: bool) -> bytes:
+        """See `Frame`; changes the message, so it comes last."""
+        messages.write_boxes(self._message, center, extents, keep_invalid)
+        return canonical(serialize_message(self._message))
+
+    def crops_message(self, plan: CropPlan) -> bytes:
+        """See `Frame`."""
+        return canonical(serialize_message(messages.crop_message(self._message, plan)))
+
+    def _best(self) -> Any:
+        """Find the best hypotheses once."""
+        if self._hypotheses is None:
+            self._hypotheses = messages.best_hypotheses(self._message)
+        return self._hypotheses

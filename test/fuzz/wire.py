@@ -1,0 +1,154 @@
+"""
+Feed damaged messages to `obbhbb_ros.wire`, by structured mutation or guided by coverage.
+
+    python test/fuzz/wire.py --inputs 1000000
+    python test/fuzz/wire.py --atheris -max_total_time=300      # needs the package atheris
+
+Whatever the bytes are, one of two things must happen: the documented error, or a message that can
+be rewritten with changes in its box fields only, and read again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import struct
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from cdr import Detection
+from cdr import Hypothesis
+from cdr import Message
+from cdr import encode
+
+from obbhbb_ros.wire import Detections
+from obbhbb_ros.wire import Forms
+from obbhbb_ros.wire import NotPlainCdrError
+from obbhbb_ros.wire import WireError
+from obbhbb_ros.wire import canonical
+
+WORDS = [0, 1, 2, 3, 4, 5, 7, 8, 0x7F, 0xFF, 0x100, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1]
+TEXTS = ['', 'a', 'ship', 'camera', 'größe', 'x' * 63]
+# Forms met in one input are known in the next, as they are in the node.
+FORMS = Forms(capacity=64)
+SLOWEST = 2.0
+
+
+def check(data: bytes) -> str:
+    """Hold one input against what must hold; tell what became of it."""
+    try:
+        found = Detections(data, FORMS)
+    except NotPlainCdrError:
+        return 'left to the typed path'
+    except WireError:
+        return 'refused'
+    count = len(found)
+    assert count * 64 <= len(data), 'more detections than the bytes can hold'
+    places, scores = found.best_hypotheses()
+    assert len(found.class_ids(places)) == len(scores) == count
+    boxes_at = [4 + 8 * int(at) for at in found._boxes_at]
+    plain, rows = canonical(data), np.arange(4.0 * count).reshape(-1, 4) - 0.5
+    written = found.rewrite(rows)
+    assert len(plain) == len(written)
+    outside_plain, outside_written = bytearray(plain), bytearray(written)
+    for at in boxes_at:
+        outside_plain[at : at + 40] = outside_written[at : at + 40] = bytes(40)
+    assert outside_plain == outside_written, 'changed outside the box fields'
+    again = Detections(written, FORMS).xywhr()
+    np.testing.assert_array_equal(again[:, :4], rows)
+    chosen = np.arange(count)[::-2]
+    selected = Detections(found.selected(chosen, rows[chosen]), FORMS)
+    np.testing.assert_array_equal(selected.xywhr()[:, :4], rows[chosen])
+    return 'read'
+
+
+def seed_message(source: random.Random) -> bytes:
+    """Write a sound message."""
+    kinds = [
+        Detection(
+            frame_id=source.choice(TEXTS), id=source.choice(TEXTS),
+            results=tuple(
+                Hypothesis(source.choice(TEXTS), source.random())
+                for _ in range(source.choice([0, 1, 1, 2, 5]))
+            ),
+        )
+        for _ in range(source.randint(1, 3))
+    ]
+    detections = tuple(source.choice(kinds) for _ in range(source.choice([0, 1, 2, 3, 20])))
+    message = Message(frame_id=source.choice(TEXTS), detections=detections)
+    return encode(message, source.choice('<>'), source.choice([0, 0xA5]))
+
+
+def mutated(data: bytearray, source: random.Random) -> bytes:
+    """Damage a message once or a few times."""
+    for _ in range(source.choice([1, 1, 1, 2, 3, 8])):
+        at = source.randrange(len(data) + 1)
+        kind = source.randrange(6)
+        if kind == 0 and at < len(data):
+            data[at] = source.randrange(256)
+        elif kind <= 2:
+            # Lengths and counts lie at multiples of four.
+            at -= at % 4
+            data[at : at + 4] = struct.pack(source.choice('<>') + 'I', source.choice(WORDS))
+        elif kind == 3:
+            del data[at : at + source.choice([1, 4, 8, 40, 400])]
+        elif kind == 4:
+            data[at:at] = source.randbytes(source.choice([1, 2, 3, 4, 8]))
+        else:
+            other = source.randrange(len(data) + 1)
+            data[at:at] = data[other : other + source.choice([4, 8, 64, 500])]
+    return bytes(data[: source.randrange(len(data) + 1)] if source.random() < 0.05 else data)
+
+
+def run_mutations(inputs: int, seed: int) -> None:
+    """Try many inputs; on a failure write the input to a file."""
+    source = random.Random(seed)
+    seeds = [seed_message(source) for _ in range(300)]
+    outcomes: Counter[str] = Counter()
+    slowest = 0.0
+    for i in range(inputs):
+        data = mutated(bytearray(source.choice(seeds)), source)
+        started = time.perf_counter()
+        try:
+            outcomes[check(data)] += 1
+        except BaseException:
+            Path('wire_failure.bin').write_bytes(data)
+            print(f'input {i} of seed {seed} fails: wire_failure.bin', file=sys.stderr)
+            raise
+        slowest = max(slowest, time.perf_counter() - started)
+    assert slowest < SLOWEST, f'an input took {slowest:.1f} s'
+    print(f'{inputs} inputs, seed {seed}, slowest {slowest * 1e3:.1f} ms: {dict(outcomes)}')
+
+
+def run_atheris(arguments: list[str]) -> None:
+    """Let atheris look for inputs, guided by coverage."""
+    import atheris
+
+    atheris.instrument_all()
+    atheris.Setup([sys.argv[0], *arguments], check)
+    atheris.Fuzz()
+
+
+def main() -> None:
+    """Fuzz."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument('--inputs', type=int, default=1_000_000)
+    parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--atheris', action='store_true', help='further options go to atheris')
+    options, rest = parser.parse_known_args()
+    if options.atheris:
+        run_atheris(rest)
+    elif rest:
+        parser.error(f'unknown options: {" ".join(rest)}')
+    else:
+        run_mutations(options.inputs, options.seed)
+
+
+if __name__ == '__main__':
+    main()

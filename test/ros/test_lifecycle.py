@@ -1,0 +1,192 @@
+"""The managed node: every transition, by the services that lifecycle managers use."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from harness import Converter
+from harness import values_of
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import GetAvailableTransitions
+from ships import axis_aligned
+from ships import detections
+from ships import fleet
+from ships import rows_of
+from vision_msgs.msg import Detection2DArray
+
+Start = Callable[..., Converter]
+
+CONFIGURE = Transition.TRANSITION_CONFIGURE
+ACTIVATE = Transition.TRANSITION_ACTIVATE
+DEACTIVATE = Transition.TRANSITION_DEACTIVATE
+CLEANUP = Transition.TRANSITION_CLEANUP
+SHUTDOWN = {
+    'unconfigured': Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+    'inactive': Transition.TRANSITION_INACTIVE_SHUTDOWN,
+    'active': Transition.TRANSITION_ACTIVE_SHUTDOWN,
+}
+WAY = {'unconfigured': (), 'inactive': (CONFIGURE,), 'active': (CONFIGURE, ACTIVATE)}
+TOPICS = ('boxes', 'crop_regions')
+
+
+@pytest.fixture
+def managed(start: Start) -> Converter:
+    """A node that waits for a lifecycle manager."""
+    node = start(parameters={'autostart': False, 'image_width': 640, 'image_height': 480})
+    assert node.state() == 'unconfigured'
+    return node
+
+
+def go(node: Converter, *transitions: int) -> None:
+    assert all(node.change_state(transition) for transition in transitions)
+
+
+def outputs(node: Converter) -> list[str]:
+    """List the node's output topics that are there."""
+    return [topic for topic in TOPICS if node.peer.node.count_publishers(topic)]
+
+
+def inputs(node: Converter) -> int:
+    """Count the node's inputs that are there."""
+    topics = ('detections', 'camera_info')
+    return sum(node.peer.node.count_subscribers(topic) for topic in topics)
+
+
+def assert_it_converts(node: Converter) -> None:
+    node.connect()
+    answer = node.convert(detections(fleet(3)))
+    np.testing.assert_array_equal(rows_of(answer), axis_aligned(fleet(3)))
+
+
+def send_while_inactive(node: Converter, count: int) -> None:
+    """Send messages until the node has counted so many that it left alone."""
+    before = node.counts()
+    while node.counts()['messages_while_inactive'] < before['messages_while_inactive'] + count:
+        for _ in range(count):
+            node.send(detections(fleet(1)))
+
+
+def test_with_autostart_the_node_is_active_by_itself(start: Start) -> None:
+    node = start()
+    node.wait(lambda: node.state() == 'active', 'the active state')
+    assert_it_converts(node)
+
+
+def test_without_autostart_it_is_unconfigured_and_has_no_topics(managed: Converter) -> None:
+    assert outputs(managed) == []
+    assert inputs(managed) == 0
+    assert managed.reports() == []
+
+
+def test_inactive_it_publishes_nothing_but_diagnostics(managed: Converter) -> None:
+    crops = managed.peer.collect(Detection2DArray, 'crop_regions')
+    go(managed, CONFIGURE)
+    assert managed.state() == 'inactive'
+    managed.wait(lambda: outputs(managed) == list(TOPICS), 'the topics')
+    assert inputs(managed) == 2
+    send_while_inactive(managed, 3)
+    assert values_of(managed.next_report())['state'] == 'inactive'
+    # Had anything been published it would come before what is now.
+    go(managed, ACTIVATE)
+    stamp = managed.send(detections(fleet(1)))
+    for answers in (managed.boxes, crops):
+        managed.answer_to(stamp, answers)
+        assert [answer.header.stamp.sec for answer in answers] == [stamp]
+
+
+def test_it_can_be_deactivated_and_activated_again(managed: Converter) -> None:
+    go(managed, CONFIGURE, ACTIVATE)
+    assert_it_converts(managed)
+    go(managed, DEACTIVATE)
+    assert managed.state() == 'inactive'
+    managed.boxes.clear()
+    send_while_inactive(managed, 3)
+    assert managed.boxes == []
+    go(managed, ACTIVATE)
+    assert managed.state() == 'active'
+    assert_it_converts(managed)
+
+
+def test_cleanup_gives_every_topic_back_and_it_can_be_configured_again(
+    managed: Converter
+) -> None:
+    for _ in range(3):
+        go(managed, CONFIGURE, ACTIVATE)
+        assert_it_converts(managed)
+        go(managed, DEACTIVATE, CLEANUP)
+        assert managed.state() == 'unconfigured'
+        managed.wait(lambda: not outputs(managed) and not inputs(managed), 'the topics to go')
+    managed.publisher.publish(detections(fleet(1)))
+    assert managed.set_atomically({'q': 2.0}).successful
+
+
+def test_parameters_set_while_it_is_unconfigured_hold(managed: Converter) -> None:
+    managed.set({'image_width': 1000})
+    go(managed, CONFIGURE)
+    managed.set({'q': float('inf')})
+    go(managed, ACTIVATE)
+    managed.connect()
+    answer = managed.convert(detections([(0.0, 0.0, 60.0, 20.0, np.pi / 4)]))
+    assert rows_of(answer)[0, 2] == pytest.approx(80.0 / np.sqrt(2.0))
+    assert managed.get('image_width') == [1000]
+
+
+def test_it_can_be_cleaned_up_while_messages_flow(managed: Converter) -> None:
+    go(managed, CONFIGURE, ACTIVATE)
+    assert_it_converts(managed)
+    for transition in (DEACTIVATE, CLEANUP, CONFIGURE, ACTIVATE) * 5:
+        for _ in range(20):
+            managed.send(detections(fleet(5)))
+            managed.peer.spin(0.001)
+        go(managed, transition)
+    assert_it_converts(managed)
+    assert 'Traceback' not in managed.process.log
+    assert 'in a callback' not in managed.process.log
+
+
+@pytest.mark.parametrize('state', SHUTDOWN)
+def test_it_can_be_shut_down_from_any_state(managed: Converter, state: str) -> None:
+    go(managed, *WAY[state])
+    assert managed.state() == state
+    go(managed, SHUTDOWN[state])
+    assert managed.state() == 'finalized'
+    managed.wait(lambda: not outputs(managed) and not inputs(managed), 'the topics to go')
+    managed.process.send_signal(signal.SIGINT)
+    assert managed.process.wait() == 0
+    assert 'Traceback' not in managed.process.log
+
+
+def test_an_impossible_transition_is_answered_with_no(managed: Converter) -> None:
+    for transition in (ACTIVATE, DEACTIVATE, CLEANUP, SHUTDOWN['active'], 99):
+        assert not managed.change_state(transition)
+        assert managed.state() == 'unconfigured'
+    go(managed, CONFIGURE)
+    for transition in (CONFIGURE, DEACTIVATE, SHUTDOWN['unconfigured']):
+        assert not managed.change_state(transition)
+        assert managed.state() == 'inactive'
+    go(managed, ACTIVATE)
+    for transition in (CONFIGURE, ACTIVATE, CLEANUP):
+        assert not managed.change_state(transition)
+        assert managed.state() == 'active'
+    assert_it_converts(managed)
+
+
+def test_a_node_that_cannot_be_configured_says_why_and_stays(start: Start) -> None:
+    override = 'qos_overrides./detections.subscription.reliability'
+    arguments = ['-r', 'detections:=/detections']
+    node = start(parameters={'autostart': False, override: 'perhaps'}, arguments=arguments)
+    assert not node.change_state(CONFIGURE)
+    assert node.state() == 'unconfigured'
+    node.wait_for_log('cannot configure', 'reliability', 'perhaps')
+    assert outputs(node) == []
+    assert inputs(node) == 0
+
+
+def test_lifecycle_tools_are_told_the_way(managed: Converter) -> None:
+    request = GetAvailableTransitions.Request()
+    response = managed.call(GetAvailableTransitions, 'get_available_transitions', request)
+    labels = [each.transition.label for each in response.available_transitions]
+    assert sorted(labels) == ['configure', 'shutdown']

@@ -1,0 +1,373 @@
+"""Parameters while the node runs: what is accepted, what is refused, and when it holds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from collections.abc import Iterator
+from collections.abc import Mapping
+from itertools import chain
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from harness import Converter
+from harness import Site
+from harness import parameters_of
+from harness import stamp_of
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import SetParametersAtomically
+from ships import FloatArray
+from ships import axis_aligned
+from ships import detection
+from ships import detections
+from ships import fleet
+from ships import rows_of
+from vision_msgs.msg import Detection2DArray
+
+from obbhbb_ros.converter import Caps
+from obbhbb_ros.converter import HullRule
+from obbhbb_ros.nodes.settings import CLASS_TABLE
+from obbhbb_ros.nodes.settings import TABLE
+
+Values = Mapping[str, Any]
+
+CONTRACT = {
+    'autostart', 'input_type', 'method', 'q', 'f', 's', 'max_length', 'max_width',
+    'ground_sample_distance', 'class_ids', 'image_width', 'image_height', 'angle_unit',
+    'invalid_policy', 'crop.padding', 'crop.padding_px', 'crop.min_size', 'crop.max_size',
+    'crop.max_count',
+}
+
+SHIPS = fleet(8)
+SLIM = {'method': 'superellipse', 'q': 1.0, 'f': 0.8, 's': 0.7, 'max_length': 90.0}
+BROAD = {'method': 'shape_aware', 'q': 6.0, 'f': 1.5, 's': 1.2, 'max_length': 150.0}
+
+
+def expected(values: Values) -> FloatArray:
+    rule = HullRule(values['method'], values['q'], values['f'], values['s'])
+    return axis_aligned(SHIPS, rule, Caps(values['max_length']))
+
+
+# While messages flow --------------------------------------------------------------------------
+
+PERIOD = 0.008
+AFTER_EACH = 6
+
+
+class Flow:
+    """A stream of messages at 125 Hz, each with the parameter sets that it may be under."""
+
+    def __init__(self, node: Converter) -> None:
+        self._node = node
+        self._due = time.monotonic()
+        self.allowed: dict[int, list[Values]] = {}
+
+    def run(self, condition: Callable[[], Any], allowed: list[Values]) -> None:
+        """Send messages until something holds."""
+        while not condition():
+            now = time.monotonic()
+            if now >= self._due:
+                self._due = max(self._due + PERIOD, now)
+                self.allowed[self._node.send(detections(SHIPS))] = allowed
+            self._node.peer.spin(0.001)
+
+    def count(self) -> int:
+        return len(self.allowed)
+
+    def check(self, answers: list[Detection2DArray]) -> None:
+        """Hold every box of every answer against what its message may be under."""
+        assert len(answers) > self.count() / 2
+        for answer in answers:
+            candidates = [expected(values) for values in self.allowed[stamp_of(answer)]]
+            rows = rows_of(answer)
+            assert any(np.array_equal(rows, candidate) for candidate in candidates)
+
+
+def flow_through(node: Converter, kind: Any, service: str, steps: list[list[Values]]) -> Flow:
+    """Go through sets of parameters, each given by all that a message may see on the way to it."""
+    flow = Flow(node)
+    for on_the_way in steps:
+        request = kind.Request(parameters=parameters_of(on_the_way[-1]))
+        future = node.call_async(kind, service, request)
+        # The answer to the request comes after the change: from then on only the new set holds.
+        flow.run(future.done, on_the_way)
+        enough = flow.count() + AFTER_EACH
+        flow.run(lambda enough=enough: flow.count() >= enough, on_the_way[-1:])
+    last = max(flow.allowed)
+    node.wait(lambda: any(stamp_of(each) == last for each in node.boxes), 'the last answer')
+    return flow
+
+
+def one_by_one(before: Values, after: Values) -> list[Values]:
+    """List what lies between two sets when they are exchanged entry by entry."""
+    names = list(after)
+    return [
+        {**before, **{name: after[name] for name in names[:count]}}
+        for count in range(len(names) + 1)
+    ]
+
+
+def test_no_message_mixes_two_sets_that_are_set_atomically(node: Converter) -> None:
+    node.set(SLIM)
+    flips = [SLIM, *([BROAD, SLIM] * 20)]
+    steps = [[before, after] for before, after in pairwise(flips)]
+    flow = flow_through(node, SetParametersAtomically, 'set_parameters_atomically', steps)
+    flow.check(node.boxes)
+
+
+def test_no_message_mixes_two_sets_that_are_set_one_by_one(node: Converter) -> None:
+    node.set(SLIM)
+    flips = [SLIM, *([BROAD, SLIM] * 20)]
+    steps = [one_by_one(before, after) for before, after in pairwise(flips)]
+    flow = flow_through(node, SetParameters, 'set_parameters', steps)
+    flow.check(node.boxes)
+
+
+def test_sets_that_are_rejected_change_no_message_that_flows(node: Converter) -> None:
+    node.set(SLIM)
+    bad = [{**BROAD, 's': 5.0}, {**BROAD, 'method': 'none'}, {**BROAD, 'crop.padding': -1.0}]
+    flow = Flow(node)
+    for values in bad * 5:
+        request = SetParametersAtomically.Request(parameters=parameters_of(values))
+        future = node.call_async(SetParametersAtomically, 'set_parameters_atomically', request)
+        flow.run(future.done, [SLIM])
+        assert not future.result().result.successful
+    node.convert(detections(SHIPS))
+    flow.check(node.boxes[:-1])
+
+
+# What is accepted, and what is refused --------------------------------------------------------
+
+REFUSED = [
+    ('q', float('nan')), ('q', 0.99), ('q', -float('inf')),
+    ('f', 0.0), ('f', -0.5), ('f', 2.01), ('f', float('nan')),
+    ('s', 0.0), ('s', 2.01), ('s', float('nan')), ('s', float('inf')),
+    ('method', 'superelipse'), ('method', 'gaussian_published'), ('method', ''),
+    ('max_length', -1.0), ('max_width', float('nan')), ('ground_sample_distance', -0.1),
+    ('angle_unit', 'grad'), ('invalid_policy', 'ignore'),
+    ('image_width', -1), ('image_height', 2_000_000),
+    ('crop.padding', -0.1), ('crop.padding_px', float('inf')),
+    ('crop.min_size', -1), ('crop.max_count', -1),
+]
+
+
+@pytest.mark.parametrize(('name', 'value'), REFUSED)
+def test_a_value_out_of_range_is_refused_by_name_and_number(
+    node: Converter, name: str, value: Any
+) -> None:
+    before = node.get(name)
+    for result in (node.set_atomically({name: value}), *node.set_one_by_one({name: value})):
+        assert not result.successful
+        assert name in result.reason
+        assert str(value) in result.reason
+    assert node.get(name) == before
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [('q', 1.0), ('q', float('inf')), ('f', 2.0), ('f', 1e-9), ('s', 2.0), ('s', 1.1),
+     ('max_length', 0.0), ('max_width', float('inf')), ('image_width', 100_000)],
+)
+def test_a_value_at_the_end_of_its_range_is_accepted(
+    node: Converter, name: str, value: Any
+) -> None:
+    node.set({name: value})
+    assert node.get(name) == [value]
+
+
+def test_an_infinite_q_gives_the_box_of_the_rectangle(node: Converter) -> None:
+    node.set({'q': float('inf')})
+    answer = rows_of(node.convert(detections(SHIPS)))
+    np.testing.assert_allclose(answer, axis_aligned(SHIPS, HullRule('outer')), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'wanted', 'got'),
+    [('q', 3, 'DOUBLE', 'INTEGER'), ('s', '1.0', 'DOUBLE', 'STRING'),
+     ('crop.max_count', 2.0, 'INTEGER', 'DOUBLE'), ('method', 1, 'STRING', 'INTEGER'),
+     ('class_ids', 'ship', 'STRING_ARRAY', 'STRING')],
+)
+def test_a_value_of_another_type_is_refused_with_both_types(
+    node: Converter, name: str, value: Any, wanted: str, got: str
+) -> None:
+    result = node.set_atomically({name: value})
+    assert not result.successful
+    assert wanted in result.reason
+    assert got in result.reason
+
+
+def test_crop_sizes_that_exclude_each_other_are_refused(node: Converter) -> None:
+    node.set({'crop.min_size': 64})
+    result = node.set_atomically({'crop.max_size': 32})
+    assert not result.successful
+    assert 'crop.max_size (32)' in result.reason
+    assert 'min_size (64)' in result.reason
+    node.set({'crop.min_size': 16, 'crop.max_size': 32})
+
+
+@pytest.mark.parametrize('bad', [{'s': 9.0}, {'method': 'none'}, {'crop.max_size': 1}, {'q': 1}])
+@pytest.mark.parametrize('place', [0, 1, 2])
+def test_a_rejected_set_changes_nothing(node: Converter, bad: Values, place: int) -> None:
+    node.set({'crop.min_size': 2})
+    good = list({'f': 0.5, 'max_length': 10.0}.items())
+    values = dict([*good[:place], *bad.items(), *good[place:]])
+    names = [spec.name for spec in TABLE]
+    before = node.get(*names)
+    assert not node.set_atomically(values).successful
+    assert node.get(*names) == before
+    answer = rows_of(node.convert(detections(SHIPS)))
+    np.testing.assert_array_equal(answer, axis_aligned(SHIPS))
+
+
+def test_set_one_by_one_each_entry_stands_for_itself(node: Converter) -> None:
+    results = node.set_one_by_one({'q': 5.0, 's': 9.0, 'f': 0.5})
+    assert [result.successful for result in results] == [True, False, True]
+    assert node.get('q', 's', 'f') == [5.0, 1.0, 0.5]
+    answer = rows_of(node.convert(detections(SHIPS)))
+    np.testing.assert_array_equal(answer, axis_aligned(SHIPS, HullRule(q=5.0, f=0.5)))
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'), [('autostart', False), ('input_type', 'PolygonStamped')]
+)
+def test_what_is_read_only_stays(node: Converter, name: str, value: Any) -> None:
+    before = node.get(name)
+    result = node.set_atomically({name: value, 'q': 9.0})
+    assert not result.successful
+    assert name in result.reason
+    assert node.get(name, 'q') == [*before, 3.0]
+
+
+def test_an_unknown_parameter_is_refused(node: Converter) -> None:
+    assert not node.set_atomically({'q': 9.0, 'fullness': 1.0}).successful
+    assert node.get('q') == [3.0]
+
+
+# What tools are told --------------------------------------------------------------------------
+
+TYPES = {
+    'bool': ParameterType.PARAMETER_BOOL, 'int': ParameterType.PARAMETER_INTEGER,
+    'double': ParameterType.PARAMETER_DOUBLE, 'string': ParameterType.PARAMETER_STRING,
+    'string[]': ParameterType.PARAMETER_STRING_ARRAY,
+}
+
+
+def test_the_parameters_are_those_of_the_contract() -> None:
+    assert {spec.name for spec in TABLE} == CONTRACT
+    names = {spec.name for spec in CLASS_TABLE}
+    assert names == {f'classes.<id>.{name}' for name in ('method', 'q', 'f', 's')}
+
+
+@pytest.mark.parametrize('spec', TABLE, ids=lambda spec: spec.name)
+def test_every_parameter_is_described(node: Converter, spec: Any) -> None:
+    (description,) = node.describe(spec.name)
+    assert description.type == TYPES[spec.type_name]
+    assert spec.meaning in description.description
+    assert all(choice in description.description for choice in spec.choices)
+    assert description.read_only == spec.read_only
+    ranges = [*description.floating_point_range, *description.integer_range]
+    found = [(each.from_value, each.to_value) for each in ranges]
+    assert found == ([] if spec.low is None else [(spec.low, spec.high)])
+
+
+# Classes --------------------------------------------------------------------------------------
+
+CLASSES_YAML = """
+/**:
+  ros__parameters:
+    s: 0.9
+    class_ids: [tug, ferry]
+    classes:
+      tug: {method: gaussian}
+      ferry: {q: 1.5, f: 0.8}
+      barge: {s: 0.5}
+"""
+
+
+@pytest.fixture(scope='module')
+def fleet_node(site: Site) -> Iterator[Converter]:
+    """A node with rules for classes in its parameter file."""
+    file = site.folder / 'classes.yaml'
+    file.write_text(CLASSES_YAML)
+    with Converter(site, arguments=['--params-file', str(file)]) as node:
+        node.connect()
+        yield node
+
+
+def convert_classes(node: Converter, class_ids: list[str | None]) -> FloatArray:
+    """Convert the same ship under each class."""
+    ship = fleet(1)[0]
+    message = Detection2DArray(detections=[detection(ship, class_id) for class_id in class_ids])
+    return rows_of(node.convert(message))
+
+
+def under(*rules: HullRule) -> FloatArray:
+    """Give what the same ship becomes under each rule."""
+    return np.vstack([axis_aligned(fleet(1), rule) for rule in rules])
+
+
+def test_classes_in_a_parameter_file_have_rules_of_their_own(fleet_node: Converter) -> None:
+    classes = ['ship', 'tug', 'ferry', None, 'tug', '']
+    plain, tug = HullRule(s=0.9), HullRule('gaussian', s=0.9)
+    ferry = HullRule(q=1.5, f=0.8, s=0.9)
+    answer = convert_classes(fleet_node, classes)
+    np.testing.assert_array_equal(answer, under(plain, tug, ferry, plain, tug, plain))
+
+
+def test_what_a_class_leaves_open_follows_the_node(fleet_node: Converter) -> None:
+    fleet_node.set({'s': 1.2, 'q': 2.0})
+    answer = convert_classes(fleet_node, ['ship', 'ferry'])
+    fleet_node.set({'s': 0.9, 'q': 3.0})
+    expected_rules = HullRule(q=2.0, s=1.2), HullRule(q=1.5, f=0.8, s=1.2)
+    np.testing.assert_array_equal(answer, under(*expected_rules))
+
+
+def test_a_class_that_is_not_listed_has_no_rule_in_force(fleet_node: Converter) -> None:
+    np.testing.assert_array_equal(
+        convert_classes(fleet_node, ['barge']), under(HullRule(s=0.9))
+    )
+    fleet_node.set({'class_ids': ['tug', 'ferry', 'barge']})
+    answer = convert_classes(fleet_node, ['barge'])
+    fleet_node.set({'class_ids': ['tug', 'ferry']})
+    np.testing.assert_array_equal(answer, under(HullRule(s=0.5)))
+    np.testing.assert_array_equal(
+        convert_classes(fleet_node, ['barge']), under(HullRule(s=0.9))
+    )
+
+
+def test_a_class_can_be_added_while_the_node_runs(node: Converter) -> None:
+    node.set({'class_ids': ['pilot boat', 'hull/7', 'ünï.code']})
+    node.set({'classes.pilot boat.q': 1.25, 'classes.ünï.code.method': 'midpoint'})
+    assert node.get('classes.pilot boat.q', 'classes.hull/7.q') == [1.25, 0.0]
+    answer = convert_classes(node, ['ship', 'pilot boat', 'hull/7', 'ünï.code'])
+    rules = HullRule(), HullRule(q=1.25), HullRule(), HullRule('midpoint')
+    np.testing.assert_array_equal(answer, under(*rules))
+
+
+def test_the_rule_is_that_of_the_best_hypothesis(node: Converter) -> None:
+    node.set({'class_ids': ['tug']})
+    node.set({'classes.tug.method': 'outer'})
+    message = Detection2DArray()
+    for scores in ((0.9, 0.1), (0.1, 0.9), (0.5, 0.5), (float('nan'), 0.1)):
+        two = [detection(fleet(1)[0], each, score).results[0]
+               for each, score in zip(('tug', 'ship'), scores, strict=True)]
+        ship = detection(fleet(1)[0], class_id=None)
+        ship.results = two
+        message.detections.append(ship)
+    answer = rows_of(node.convert(message))
+    tug, ship = HullRule('outer'), HullRule()
+    np.testing.assert_array_equal(answer, under(tug, ship, tug, ship))
+
+
+def test_class_rules_are_described_and_checked_like_the_others(node: Converter) -> None:
+    node.set({'class_ids': ['tug']})
+    names = [spec.name.replace('<id>', 'tug') for spec in CLASS_TABLE]
+    assert all(description.description for description in node.describe(*names))
+    bad = {'method': 'none', 'q': 0.5, 'f': 3.0, 's': float('nan')}
+    for name, value in chain(bad.items()):
+        result = node.set_atomically({f'classes.tug.{name}': value})
+        assert not result.successful
+        assert f'classes.tug.{name}' in result.reason

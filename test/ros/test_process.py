@@ -1,0 +1,310 @@
+"""The executable as users start and stop it: files, names, signals, quality of service."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from collections.abc import Iterator
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from harness import Converter
+from harness import NodeProcess
+from harness import Site
+from rclpy.qos import DurabilityPolicy
+from rclpy.qos import QoSProfile
+from rclpy.qos import ReliabilityPolicy
+from ships import axis_aligned
+from ships import detections
+from ships import fleet
+from ships import rows_of
+from vision_msgs.msg import Detection2DArray
+
+from obbhbb_ros.converter import Caps
+from obbhbb_ros.converter import HullRule
+from obbhbb_ros.nodes.settings import TABLE
+
+Start = Callable[..., Converter]
+
+CONFIG = Path(__file__).parents[2] / 'config'
+PAPER = {'method': 'shape_aware', 'q': 2.2, 'f': 0.9, 's': 1.0}
+
+
+# Parameter files ------------------------------------------------------------------------------
+
+def flat(tree: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            yield from flat(value, f'{prefix}{name}.')
+        else:
+            yield prefix + name, value
+
+
+@pytest.mark.parametrize(
+    ('file', 'rule'),
+    [('obb_to_hbb.yaml', HullRule()), ('paper.yaml', HullRule(**PAPER))],
+)
+def test_a_shipped_parameter_file_gives_what_it_states(
+    start: Start, file: str, rule: HullRule
+) -> None:
+    path = CONFIG / file
+    stated = dict(flat(yaml.safe_load(path.read_text(encoding='utf-8'))['/**']['ros__parameters']))
+    assert list(stated) == [spec.name for spec in TABLE]
+    node = start(arguments=['--params-file', str(path)])
+    node.connect()
+    assert dict(zip(stated, node.get(*stated), strict=True)) == stated
+    answer = rows_of(node.convert(detections(fleet(5))))
+    np.testing.assert_array_equal(answer, axis_aligned(fleet(5), rule))
+    assert 'WARN' not in node.process.log
+
+
+MISSION_YAML = """
+/**/payload/ships:
+  ros__parameters:
+    method: shape_aware
+    q: 2.5
+    s: 0.9
+    max_length: 100.0
+    fulness: 0.9
+    crop: {max_counts: 3}
+/**/obb_to_hbb:
+  ros__parameters: {method: outer}
+"""
+
+
+def test_a_parameter_file_is_used_by_the_name_of_the_node(start: Start, tmp_path: Path) -> None:
+    file = tmp_path / 'mission.yaml'
+    file.write_text(MISSION_YAML)
+    arguments = ['--params-file', str(file), '-p', 's:=0.95', '-r', '__node:=ships']
+    node = start(arguments=arguments, namespace='/sat/payload')
+    node.connect()
+    answer = rows_of(node.convert(detections(fleet(5))))
+    rule = HullRule('shape_aware', q=2.5, s=0.95)
+    np.testing.assert_array_equal(answer, axis_aligned(fleet(5), rule, Caps(100.0)))
+    warning = node.wait_for_log('unknown parameters')
+    assert 'fulness' in warning
+    assert 'crop.max_counts' in warning
+    assert 'q' not in warning.partition('unknown parameters')[2].split(', ')
+
+
+def test_topics_can_be_remapped(start: Start) -> None:
+    arguments = []
+    for topic in ('detections', 'boxes', 'crop_regions', 'camera_info'):
+        arguments += ['-r', f'{topic}:=elsewhere/{topic}']
+    node = start(arguments=arguments, listen=False)
+    boxes = node.peer.collect(Detection2DArray, 'elsewhere/boxes')
+    publisher = node.peer.publisher(Detection2DArray, 'elsewhere/detections')
+    node.wait(lambda: publisher.publish(detections(fleet(3))) or boxes, 'boxes')
+    np.testing.assert_array_equal(rows_of(boxes[0]), axis_aligned(fleet(3)))
+    names = dict(node.peer.node.get_topic_names_and_types())
+    for topic in ('detections', 'boxes', 'crop_regions', 'camera_info'):
+        assert f'{node.namespace}/{topic}' not in names
+        assert f'{node.namespace}/elsewhere/{topic}' in names
+
+
+def test_every_topic_lies_in_the_namespace_but_diagnostics(start: Start) -> None:
+    node = start()
+    node.connect()
+    arguments = ('obb_to_hbb', node.namespace)
+    graph = node.peer.node
+    published = dict(graph.get_publisher_names_and_types_by_node(*arguments))
+    subscribed = dict(graph.get_subscriber_names_and_types_by_node(*arguments))
+    inside = {f'{node.namespace}/{topic}' for topic in ('boxes', 'crop_regions')}
+    assert inside <= set(published)
+    assert '/diagnostics' in published
+    assert {f'{node.namespace}/{each}' for each in ('detections', 'camera_info')} <= set(subscribed)
+    assert f'{node.namespace}/polygons' not in subscribed
+
+
+def test_two_nodes_in_two_namespaces_do_not_hear_each_other(start: Start) -> None:
+    one, other = start(), start(parameters={'method': 'outer'})
+    one.connect()
+    other.connect()
+    np.testing.assert_array_equal(
+        rows_of(one.convert(detections(fleet(3)))), axis_aligned(fleet(3))
+    )
+    np.testing.assert_array_equal(
+        rows_of(other.convert(detections(fleet(3)))), axis_aligned(fleet(3), HullRule('outer'))
+    )
+    assert len(one.boxes) == len(other.boxes) == 1
+
+
+# The end --------------------------------------------------------------------------------------
+
+SIGNALS = pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
+SOON = 10.0
+
+
+def assert_clean_end(node: Converter) -> None:
+    assert node.process.wait(SOON) == 0
+    assert node.process.log == ''
+
+
+@SIGNALS
+def test_a_signal_ends_an_idle_node_cleanly(start: Start, number: int) -> None:
+    node = start()
+    node.connect()
+    node.process.send_signal(number)
+    assert_clean_end(node)
+
+
+@SIGNALS
+def test_a_signal_ends_a_busy_node_cleanly(start: Start, number: int) -> None:
+    node = start()
+    node.connect()
+    for sent in range(10_000):
+        if sent == 50:
+            node.process.send_signal(number)
+        node.publisher.publish(detections(fleet(20)))
+        node.peer.spin(0.002)
+        if not node.process.running:
+            break
+    assert_clean_end(node)
+
+
+@SIGNALS
+def test_a_signal_ends_a_node_that_is_not_configured_cleanly(start: Start, number: int) -> None:
+    node = start(parameters={'autostart': False})
+    assert node.state() == 'unconfigured'
+    node.process.send_signal(number)
+    assert_clean_end(node)
+
+
+# What cannot start ----------------------------------------------------------------------------
+
+BAD_PARAMETERS = [
+    ({'q': 0.5}, ('q', '0.5', '1.0')),
+    ({'q': 3}, ('q', '3', 'DOUBLE', 'INTEGER')),
+    ({'f': 0.0}, ('f', '0.0', '(0, 2]')),
+    ({'s': float('nan')}, ('s', 'nan')),
+    ({'method': 'elipse'}, ('method', 'elipse', 'superellipse')),
+    ({'input_type': 'Image'}, ('input_type', 'Image', 'Detection2DArray')),
+    ({'crop.min_size': 9, 'crop.max_size': 5}, ('crop.max_size', '5', 'min_size', '9')),
+    ({'class_ids': ['tug'], 'classes.tug.q': 0.5}, ('classes.tug.q', '0.5')),
+    ({'image_width': -3}, ('image_width', '-3')),
+]
+
+
+@pytest.mark.parametrize(('parameters', 'texts'), BAD_PARAMETERS)
+def test_bad_parameters_end_the_start_with_one_line(
+    site: Site, tmp_path: Path, parameters: dict[str, Any], texts: tuple[str, ...]
+) -> None:
+    process = NodeProcess('obb_to_hbb', tmp_path / 'log', parameters=parameters)
+    assert process.wait() == 1
+    (line,) = process.log.splitlines()
+    assert line.startswith('cannot start: ')
+    assert all(text in line for text in texts)
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'text'),
+    [
+        (['--params-file', '/nowhere/ships.yaml'], '/nowhere/ships.yaml'),
+        (['-p', 'q'], "'-p q'"),
+        (['-r', '__ns:=not-a-name'], 'not-a-name'),
+        (['--log-level', 'loud'], 'loud'),
+    ],
+)
+def test_a_bad_command_line_ends_the_start_without_traceback(
+    site: Site, tmp_path: Path, arguments: list[str], text: str
+) -> None:
+    process = NodeProcess('obb_to_hbb', tmp_path / 'log', arguments)
+    assert process.wait() == 1
+    # A library of ROS may have logged something before.
+    line = process.log.splitlines()[-1]
+    assert line.startswith('cannot start: ')
+    assert text in line
+    assert 'Traceback' not in process.log
+
+
+# Quality of service ---------------------------------------------------------------------------
+
+BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def profiles(node: Converter) -> dict[str, QoSProfile]:
+    """Find out what the node asks for and offers, by topic."""
+    graph = node.peer.node
+    topics = {
+        'detections': graph.get_subscriptions_info_by_topic,
+        'camera_info': graph.get_subscriptions_info_by_topic,
+        'boxes': graph.get_publishers_info_by_topic,
+        'crop_regions': graph.get_publishers_info_by_topic,
+    }
+
+    def infos(topic: str) -> list[Any]:
+        found = topics[topic](f'{node.namespace}/{topic}')
+        return [each for each in found if each.node_name == 'obb_to_hbb']
+
+    return {
+        topic: node.wait_for(lambda topic=topic: infos(topic), topic).qos_profile
+        for topic in topics
+    }
+
+
+def test_by_default_input_is_best_effort_and_output_reliable(start: Start) -> None:
+    got = profiles(start())
+    for topic in ('detections', 'camera_info'):
+        assert got[topic].reliability == ReliabilityPolicy.BEST_EFFORT
+    for topic in ('boxes', 'crop_regions'):
+        assert got[topic].reliability == ReliabilityPolicy.RELIABLE
+    assert {each.durability for each in got.values()} == {DurabilityPolicy.VOLATILE}
+
+
+QOS_YAML = """
+/**:
+  ros__parameters:
+    qos_overrides:
+      /qos_test/detections: {subscription: {reliability: reliable, depth: 3}}
+      /qos_test/camera_info: {subscription: {reliability: reliable}}
+      /qos_test/boxes: {publisher: {reliability: best_effort, history: keep_all}}
+"""
+
+
+def test_a_parameter_file_can_override_the_profiles(start: Start, tmp_path: Path) -> None:
+    file = tmp_path / 'qos.yaml'
+    file.write_text(QOS_YAML)
+    node = start(arguments=['--params-file', str(file)], namespace='/qos_test', listen=False)
+    got = {topic: profile.reliability for topic, profile in profiles(node).items()}
+    assert got == {
+        'detections': ReliabilityPolicy.RELIABLE,
+        'camera_info': ReliabilityPolicy.RELIABLE,
+        'boxes': ReliabilityPolicy.BEST_EFFORT,
+        'crop_regions': ReliabilityPolicy.RELIABLE,
+    }
+    # DDS tells neither history nor depth to others.
+    prefix = 'qos_overrides./qos_test'
+    names = f'{prefix}/detections.subscription.depth', f'{prefix}/boxes.publisher.history'
+    assert node.get(*names) == [3, 'keep_all']
+    assert node.process.log == ''
+
+
+def test_best_effort_detectors_are_heard(start: Start) -> None:
+    node = start()
+    publisher = node.peer.publisher(Detection2DArray, 'detections', BEST_EFFORT)
+    node.wait(lambda: publisher.publish(detections(fleet(2))) or node.boxes, 'boxes')
+
+
+def test_a_subscriber_whose_profile_does_not_fit_is_logged(start: Start) -> None:
+    node = start()
+    node.connect()
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    unheard = node.peer.collect(Detection2DArray, 'boxes', latched)
+    line = node.wait_for_log('incompatible QoS', "'boxes'")
+    assert 'DURABILITY' in line
+    node.convert(detections(fleet(1)))
+    assert unheard == []
+
+
+def test_a_publisher_whose_profile_does_not_fit_is_logged(start: Start) -> None:
+    override = 'qos_overrides./picky/detections.subscription.reliability'
+    node = start(parameters={override: 'reliable'}, namespace='/picky')
+    node.peer.node.create_publisher(Detection2DArray, 'detections', BEST_EFFORT)
+    line = node.wait_for_log('incompatible QoS', "'detections'")
+    assert 'RELIABILITY' in line
+    # One that fits is heard all the same.
+    node.connect()

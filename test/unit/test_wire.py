@@ -1,0 +1,225 @@
+"""Detections in their bytes: every message is read, only boxes change, nothing else is touched."""
+
+import struct
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cdr import MESSAGES
+from cdr import Detection
+from cdr import Hypothesis
+from cdr import Message
+from cdr import encode
+from cdr import with_box
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+
+from obbhbb_ros.wire import Detections
+from obbhbb_ros.wire import Forms
+from obbhbb_ros.wire import NotPlainCdrError
+from obbhbb_ros.wire import WireError
+from obbhbb_ros.wire import canonical
+
+ORDERS = pytest.mark.parametrize('order', '<>')
+PADDING = st.sampled_from([0x00, 0xA5])
+# Forms met in one message are known in the next: the tests share a memory, as a node does.
+FORMS = Forms(capacity=50)
+
+
+def boxes(count):
+    """Make boxes that differ: centre x and y, size x and y."""
+    return np.arange(4.0 * count).reshape(-1, 4) + 0.25
+
+
+@ORDERS
+@given(message=MESSAGES, padding=PADDING, trailing=st.integers(0, 3))
+def test_boxes_are_read(order, message, padding, trailing) -> None:
+    found = Detections(encode(message, order, padding) + bytes(trailing), FORMS)
+    expected = [[x, y, w, h, theta] for x, y, theta, w, h in (d.bbox for d in message.detections)]
+    np.testing.assert_array_equal(found.xywhr(), np.array(expected).reshape(-1, 5))
+    assert found.stamp == message.stamp
+
+
+@ORDERS
+@given(message=MESSAGES, padding=PADDING)
+def test_rewriting_changes_the_boxes_and_nothing_else(order, message, padding) -> None:
+    rows = boxes(len(message.detections))
+    rewritten = Detections(encode(message, order, padding), FORMS).rewrite(rows)
+    changed = tuple(map(with_box, message.detections, rows))
+    assert rewritten == encode(replace(message, detections=changed))
+
+
+@ORDERS
+@given(message=MESSAGES, padding=PADDING, data=st.data())
+def test_detections_that_are_not_named_keep_their_box(order, message, padding, data) -> None:
+    count = len(message.detections)
+    named = np.array(data.draw(st.lists(st.booleans(), min_size=count, max_size=count)), bool)
+    rows = boxes(count)
+    rewritten = Detections(encode(message, order, padding), FORMS).rewrite(rows, named)
+    changed = tuple(
+        with_box(detection, row) if is_named else detection
+        for detection, row, is_named in zip(message.detections, rows, named, strict=True)
+    )
+    assert rewritten == encode(replace(message, detections=changed))
+
+
+@ORDERS
+@given(message=MESSAGES, padding=PADDING, data=st.data())
+def test_selecting_shortens_and_reorders(order, message, padding, data) -> None:
+    order_wanted = data.draw(st.permutations(range(len(message.detections))))
+    chosen = order_wanted[: data.draw(st.integers(0, len(order_wanted)))]
+    rows = boxes(len(chosen))
+    selected = Detections(encode(message, order, padding), FORMS).selected(
+        np.array(chosen, np.int64), rows
+    )
+    kept = tuple(with_box(message.detections[i], row) for i, row in zip(chosen, rows, strict=True))
+    assert selected == encode(replace(message, detections=kept))
+
+
+@ORDERS
+@given(message=MESSAGES, padding=PADDING)
+def test_the_canonical_form_is_little_endian_with_zeros_between_fields(
+    order, message, padding
+) -> None:
+    assert canonical(encode(message, order, padding) + b'\xa5') == encode(message)
+
+
+@ORDERS
+@given(message=MESSAGES, padding=PADDING)
+def test_the_best_hypothesis_is_the_first_of_the_highest_score(order, message, padding) -> None:
+    found = Detections(encode(message, order, padding), FORMS)
+    places, scores = found.best_hypotheses()
+    class_ids = found.class_ids(places)
+    for detection, class_id, score in zip(message.detections, class_ids, scores, strict=True):
+        best = None
+        for result in detection.results:
+            value = -np.inf if np.isnan(result.score) else result.score
+            if best is None or value > best[0]:
+                best = value, result
+        if best is None:
+            assert class_id == ''
+            assert np.isnan(score)
+        else:
+            assert class_id == best[1].class_id
+            np.testing.assert_equal(score, best[1].score)
+
+
+@pytest.mark.parametrize('count', [1, 15, 16, 17, 18, 100, 2000])
+@pytest.mark.parametrize('kinds', [1, 2, 3])
+def test_long_messages_of_few_kinds_are_read_whole(count, kinds) -> None:
+    ids = [str(10**k) for k in range(kinds)]
+    detections = tuple(
+        Detection(bbox=(float(i), 1.0, 2.0, 3.0, 4.0), id=ids[i * i % 7 % kinds])
+        for i in range(count)
+    )
+    message = Message(detections=detections)
+    found = Detections(encode(message))
+    np.testing.assert_array_equal(found.xywhr()[:, 0], np.arange(count))
+    rows = boxes(count)
+    assert found.rewrite(rows) == encode(
+        replace(message, detections=tuple(map(with_box, detections, rows)))
+    )
+
+
+def test_a_form_of_another_message_does_not_mislead() -> None:
+    forms = Forms()
+    long = Message(detections=(Detection(results=(Hypothesis(),) * 3),))
+    short = Message(detections=(Detection(results=()), Detection(id='x' * 40)))
+    for message in (long, short, long, short):
+        found = Detections(encode(message), forms)
+        np.testing.assert_array_equal(
+            found.xywhr()[:, :2], [d.bbox[:2] for d in message.detections]
+        )
+
+
+def test_the_memory_of_forms_is_bounded() -> None:
+    forms = Forms(capacity=10)
+    for length in range(100):
+        Detections(encode(Message(detections=(Detection(id='x' * length),))), forms)
+    assert len(forms.templates) <= 11
+
+
+@given(message=MESSAGES, data=st.data())
+def test_a_message_cut_anywhere_is_refused(message, data) -> None:
+    whole = encode(message)
+    cut = data.draw(st.integers(0, len(whole) - 1))
+    with pytest.raises(WireError):
+        Detections(whole[:cut], FORMS)
+
+
+@settings(max_examples=150)
+@given(message=MESSAGES, data=st.data())
+def test_damaged_bytes_raise_the_documented_error_or_are_read(message, data) -> None:
+    damaged = bytearray(encode(message))
+    for _ in range(data.draw(st.integers(1, 4))):
+        place = data.draw(st.integers(0, len(damaged) - 1))
+        damaged[place] = data.draw(st.sampled_from([0, 1, 2, 0x7F, 0x80, 0xFF]))
+    try:
+        found = Detections(bytes(damaged), FORMS)
+    except WireError:
+        return
+    # What can be read can be written, and is read again with the boxes that were written.
+    rows = boxes(len(found))
+    again = Detections(found.rewrite(rows), FORMS).xywhr()
+    np.testing.assert_array_equal(again[:, :4], rows)
+    np.testing.assert_array_equal(again[:, 4], 0.0)
+
+
+@ORDERS
+@pytest.mark.parametrize('count', [2**31, 2**32 - 1, 10**6])
+def test_a_count_that_cannot_be_is_refused_without_making_room_for_it(order, count) -> None:
+    header = encode(Message(), order)[:-4]
+    data = header + struct.pack(order + 'I', count) + bytes(1000)
+    tracemalloc.start()
+    with pytest.raises(WireError, match='cannot hold'):
+        Detections(data)
+    assert tracemalloc.get_traced_memory()[1] < 100_000
+    tracemalloc.stop()
+
+
+def test_a_count_of_hypotheses_that_the_message_cannot_hold_is_refused() -> None:
+    data = bytearray(encode(Message(detections=(Detection(results=()),))))
+    at = data.index(b'camera\0', 20) + 8
+    data[at : at + 4] = struct.pack('<I', 2**31)
+    with pytest.raises(WireError, match=r'results at byte \d+ cannot hold 2147483648 elements'):
+        Detections(bytes(data))
+
+
+@pytest.mark.parametrize(
+    'data',
+    [
+        b'', b'\0', b'\0\1\0', b'\0\2\0\0' + bytes(40), b'\0\3\0\0' + bytes(40),
+        b'\0\1\0\3' + bytes(40), b'\1\1\0\0' + bytes(40),
+    ],
+)
+def test_another_encapsulation_is_left_to_the_typed_path(data) -> None:
+    with pytest.raises(NotPlainCdrError, match='encapsulation'):
+        Detections(data)
+
+
+def test_a_string_without_its_closing_zero_is_left_to_the_typed_path() -> None:
+    data = b'\0\1\0\0' + struct.pack('<iII', 1, 2, 0) + struct.pack('<I', 0)
+    with pytest.raises(NotPlainCdrError, match='frame_id'):
+        Detections(data)
+
+
+def test_more_behind_the_message_than_padding_is_left_to_the_typed_path() -> None:
+    with pytest.raises(NotPlainCdrError, match='4 bytes behind'):
+        Detections(encode(Message()) + bytes(4))
+
+
+def test_the_bytes_given_are_never_changed() -> None:
+    data = bytearray(encode(Message(detections=(Detection(),)), padding=0xA5))
+    before = bytes(data)
+    found = Detections(bytes(data))
+    found.rewrite(boxes(1))
+    assert bytes(data) == before
+
+
+def test_a_class_id_that_is_no_utf_8_is_escaped() -> None:
+    message = Message(detections=(Detection(results=(Hypothesis(class_id='zzzz'),)),))
+    data = encode(message).replace(b'zzzz', b'\xff\xfe\xfdz')
+    found = Detections(data)
+    assert found.class_ids(found.best_hypotheses()[0]) == ['\\xff\\xfe\\xfdz']
