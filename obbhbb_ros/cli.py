@@ -7,7 +7,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
-from typing import Any
 
 if TYPE_CHECKING:
     from obbhbb_ros.labels import LabelError
@@ -137,7 +136,7 @@ def _convert(options: argparse.Namespace) -> int:
     return 1 if options.strict and not tally.complete else 0
 
 
-def _add_evaluate(commands: Any) -> None:
+def _add_evaluate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe `obbhbb evaluate`."""
     parser = commands.add_parser(
         'evaluate', help='score all methods on labelled ships, by angle, aspect ratio and class'
@@ -198,7 +197,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     return 0
 
 
-def _add_calibrate(commands: Any) -> None:
+def _add_calibrate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe `obbhbb calibrate`."""
     parser = commands.add_parser(
         'calibrate', help='find q, f and s on labelled ships; a parameter file for the node'
@@ -288,7 +287,7 @@ def _ships_to_learn_from(options: argparse.Namespace) -> Ships:
     return ships_for(_read_ships(options), 'hbb')
 
 
-def _add_report(commands: Any) -> None:
+def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe `obbhbb report`."""
     parser = commands.add_parser(
         'report', help='tables, curves and a gallery of labelled ships as one HTML page'
