@@ -66,7 +66,9 @@ def angle_figure(scores: Sequence[Score]) -> Figure:
             _draw_bands(axes, [score for score in scores if score.protocol == protocol], bands)
             axes.set_title(f'protocol {protocol}: {PROTOCOLS[protocol]}', fontsize=10)
         handles, names = panels[0].get_legend_handles_labels()
-        figure.legend(handles, names, loc='outside lower center', ncols=4, frameon=False)
+        # Room below for the legend; 'outside' places are not known to matplotlib 3.6.
+        figure.set_layout_engine('constrained', rect=(0.0, 0.13, 1.0, 0.87))
+        figure.legend(handles, names, loc='lower center', ncol=4, frameon=False)
     return figure
 
 

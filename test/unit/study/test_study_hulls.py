@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.study.hulls import ASPECT_RANGE
 from obbhbb_ros.study.hulls import FAMILIES
 from obbhbb_ros.study.hulls import FULLNESS
@@ -101,10 +100,14 @@ def test_aspects_and_angles_are_free_and_evenly_spread() -> None:
     assert ships.boxes.length == pytest.approx(LENGTH)
 
 
-def test_the_hull_lies_in_its_oriented_box() -> None:
+def test_the_hull_lies_in_its_oriented_box_and_the_reference_around_the_hull() -> None:
     ships = synthetic_ships(aspects=2, angles=3)
-    again = OrientedBoxes.from_polygons(ships.hulls)
-    assert (again.length * again.width <= ships.boxes.length * ships.boxes.width + 1e-6).all()
+    for row, hull in enumerate(ships.hulls):
+        offset = hull - ships.boxes.center[:, row]
+        for axis in (ships.boxes.long_axis[:, row], ships.boxes.short_axis[:, row]):
+            assert np.abs(offset @ axis / (axis @ axis)).max() == pytest.approx(1.0)
+        bounds = np.concatenate((hull.min(axis=0), hull.max(axis=0)))
+        np.testing.assert_array_equal(ships.reference[row], bounds)
 
 
 def test_the_seed_alone_decides_the_angles() -> None:
