@@ -20,6 +20,8 @@ PLOTS = ['matplotlib>=3.6']
 IMAGES = ['pillow>=9.0']
 # What the benchmarks measure against.
 PEERS = ['supervision>=0.27']
+GEO = ['geopandas>=0.14', 'pyogrio>=0.7']
+PROGRESS = ['tqdm>=4.60']
 LINT = ['mypy>=1.8', 'ruff>=0.6']
 
 setup(
@@ -45,7 +47,11 @@ setup(
         'images': IMAGES,
         'chips': IMAGES,
         'bench': PEERS,
-        'test': ['hypothesis>=6.80', 'pytest>=7.4', 'colcon-common-extensions', *IMAGES, *LINT],
+        'geo': GEO,
+        'progress': PROGRESS,
+        'test': [
+            'hypothesis>=6.80', 'pytest>=7.4', 'colcon-common-extensions', *GEO, *IMAGES, *LINT,
+        ],
     },
     entry_points={
         'console_scripts': [

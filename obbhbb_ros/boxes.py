@@ -270,12 +270,12 @@ class OrientedBoxes:
     @property
     def length(self) -> FloatArray:
         """Length of the long side, pixels, shape (N,)."""
-        return 2.0 * np.hypot(self.long_axis[0], self.long_axis[1])
+        return _whole(self.long_axis)
 
     @property
     def width(self) -> FloatArray:
         """Length of the short side, pixels, shape (N,)."""
-        return 2.0 * np.hypot(self.short_axis[0], self.short_axis[1])
+        return _whole(self.short_axis)
 
     @property
     def theta(self) -> FloatArray:
@@ -287,7 +287,8 @@ class OrientedBoxes:
     def corners(self) -> FloatArray:
         """Corners in order around each box, pixels, shape (N, 4, 2)."""
         c, u, v = self.center, self.long_axis, self.short_axis
-        stacked = np.stack((c - u - v, c + u - v, c + u + v, c - u + v))
+        with np.errstate(over='ignore', invalid='ignore'):
+            stacked = np.stack((c - u - v, c + u - v, c + u + v, c - u + v))
         return np.ascontiguousarray(stacked.transpose(2, 0, 1))
 
 
@@ -303,6 +304,12 @@ def _as_array(values: ArrayLike, name: str, row_shape: tuple[int, ...]) -> Float
         wanted = ', '.join(('N', *map(str, row_shape)))
         raise ValueError(f'{name} must have shape ({wanted}), not {array.shape}')
     return array
+
+
+def _whole(half: FloatArray) -> FloatArray:
+    """Give twice the length of half edges; infinite where that overflows."""
+    with np.errstate(over='ignore'):
+        return 2.0 * np.hypot(half[0], half[1])
 
 
 def _ring_defect(ring: FloatArray) -> Defect:

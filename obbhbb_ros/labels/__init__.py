@@ -7,22 +7,30 @@ Label files <-> boxes: one module a format, behind one reader and one writer.
 
 from __future__ import annotations
 
+from obbhbb_ros.labels.converted import ConvertedImage
 from obbhbb_ros.labels.format import Format
+from obbhbb_ros.labels.matching import Matching
+from obbhbb_ros.labels.matching import match_references
 from obbhbb_ros.labels.reader import read_labels
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import LabelError
 from obbhbb_ros.labels.records import OnError
 from obbhbb_ros.labels.registry import FORMATS
 from obbhbb_ros.labels.registry import detect_format
+from obbhbb_ros.labels.writer import write_boxes
 from obbhbb_ros.labels.writer import write_labels
 
 __all__ = [
     'FORMATS',
+    'ConvertedImage',
     'Format',
     'ImageLabels',
     'LabelError',
+    'Matching',
     'OnError',
     'detect_format',
+    'match_references',
     'read_labels',
+    'write_boxes',
     'write_labels',
 ]

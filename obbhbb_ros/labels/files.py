@@ -6,12 +6,24 @@ import errno
 from collections.abc import Collection
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Protocol
+from typing import TypeVar
 
-from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import LabelError
 
 CLASSES_FILE = 'classes.txt'
 IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.tif', '.tiff', '.bmp', '.webp', '.jp2')
+
+
+class Named(Protocol):
+    """What goes to a file named after its image."""
+
+    @property
+    def image(self) -> str:
+        """Image name."""
+
+
+AnyImage = TypeVar('AnyImage', bound=Named)
 
 
 def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
@@ -57,9 +69,9 @@ def _is_label_file(path: Path, suffixes: Collection[str]) -> bool:
 
 def target_files(
     path: Path,
-    images: Iterable[ImageLabels],
+    images: Iterable[AnyImage],
     suffix: str,
-) -> list[tuple[Path, ImageLabels]]:
+) -> list[tuple[Path, AnyImage]]:
     """
     Give each image a label file of its own.
 
@@ -67,14 +79,14 @@ def target_files(
     ----------
     path : Path
         A folder, which need not exist; or, for a single image, a file that ends in `suffix`.
-    images : iterable of ImageLabels
+    images : iterable of ImageLabels or ConvertedImage
         The images.
     suffix : str
         Suffix of the format's files, with the dot.
 
     Returns
     -------
-    list of (Path, ImageLabels)
+    list of (Path, image)
         In the order of `images`.
 
     Raises
@@ -88,7 +100,7 @@ def target_files(
         if len(images) != 1:
             raise ValueError(f'{path}: one file holds one image, not {len(images)}: name a folder')
         return [(path, images[0])]
-    targets: dict[str, ImageLabels] = {}
+    targets: dict[str, AnyImage] = {}
     for labels in images:
         name = f'{_stem(labels.image)}{suffix}'
         other = targets.setdefault(name, labels)
@@ -97,12 +109,16 @@ def target_files(
     return [(path / name, labels) for name, labels in targets.items()]
 
 
-def _stem(image: str) -> str:
+def bare_name(image: str) -> str:
+    """Strip folders and an image suffix from an image name, as label files are named."""
     # A table may name images by path and suffix; a label file has the bare name of its image.
     name = image.replace('\\', '/').rpartition('/')[2]
     stem, dot, suffix = name.rpartition('.')
-    if f'{dot}{suffix}'.lower() in IMAGE_SUFFIXES:
-        name = stem
+    return stem if f'{dot}{suffix}'.lower() in IMAGE_SUFFIXES else name
+
+
+def _stem(image: str) -> str:
+    name = bare_name(image)
     if not name or name.startswith('.') or name == Path(CLASSES_FILE).stem:
         raise ValueError(f'image {image!r} makes no name for a label file')
     return name

@@ -8,12 +8,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from obbhbb_ros.labels.converted import ConvertedImage
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import OnError
 
 ImageSize = tuple[int, int]
 Read = Callable[[Path, ImageSize | None, OnError], Iterator[ImageLabels]]
 Write = Callable[[Path, list[ImageLabels]], None]
+WriteBoxes = Callable[[Path, list[ConvertedImage]], None]
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,11 @@ class Format:
     sniff : callable
         ``sniff(head)`` tells whether the beginning of a file looks like this format and like no
         other one that shares a suffix.
+    write_boxes : callable or None
+        ``write_boxes(path, images)`` writes checked axis-aligned boxes, as `write` does oriented
+        ones. None for a format that has no place for them.
+    holds_diagnostics : bool
+        Whether `write_boxes` writes the diagnostics of a conversion.
     """
 
     name: str
@@ -46,6 +53,8 @@ class Format:
     read: Read
     write: Write | None
     sniff: Callable[[str], bool]
+    write_boxes: WriteBoxes | None = None
+    holds_diagnostics: bool = False
 
 
 def names(formats: Iterable[Format]) -> str:

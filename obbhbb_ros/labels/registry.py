@@ -9,15 +9,22 @@ from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
+from obbhbb_ros.labels import coco
 from obbhbb_ros.labels import dota
+from obbhbb_ros.labels import geojson
+from obbhbb_ros.labels import hrsc
+from obbhbb_ros.labels import shapefile
 from obbhbb_ros.labels import table
+from obbhbb_ros.labels import voc
+from obbhbb_ros.labels import wkt
+from obbhbb_ros.labels import yolo
 from obbhbb_ros.labels import yolo_obb
 from obbhbb_ros.labels.files import label_files
 from obbhbb_ros.labels.format import Format
 from obbhbb_ros.labels.format import names
 
 # A new format is a module with a FORMAT, named here.
-_MODULES = (dota, yolo_obb, table)
+_MODULES = (dota, yolo_obb, yolo, table, wkt, hrsc, voc, coco, geojson, shapefile)
 
 FORMATS: dict[str, Format] = {module.FORMAT.name: module.FORMAT for module in _MODULES}
 

@@ -11,19 +11,23 @@ The header tells the order of the columns; columns it does not know are ignored.
 ``score``; it counts as 1. A row is one line, quoted fields included, so that a stray quote costs
 one row and not the rest of the file. A row of an image name and nothing else is an image without
 boxes.
+
+In the place of the eight corners may stand ``x_min,y_min,x_max,y_max``, as `obbhbb convert` writes
+them: the box is upright then, and its own reference box.
 """
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from obbhbb_ros.labels.converted import DIAGNOSTICS
+from obbhbb_ros.labels.converted import ConvertedImage
+from obbhbb_ros.labels.converted import Value
+from obbhbb_ros.labels.converted import converted_boxes
 from obbhbb_ros.labels.format import Format
 from obbhbb_ros.labels.format import ImageSize
 from obbhbb_ros.labels.records import MIN_HULL_POINTS
@@ -31,18 +35,23 @@ from obbhbb_ros.labels.records import NO_REFERENCE
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import FloatArray
 from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import LabelError
 from obbhbb_ros.labels.records import OnError
 from obbhbb_ros.labels.records import assemble
+from obbhbb_ros.labels.rows import ParseRow
+from obbhbb_ros.labels.rows import first_columns
+from obbhbb_ros.labels.rows import join_row
+from obbhbb_ros.labels.rows import read_rows
+from obbhbb_ros.labels.shapes import upright_corners
 from obbhbb_ros.labels.text import join_numbers
 from obbhbb_ros.labels.text import parse_numbers
-from obbhbb_ros.labels.text import text_lines
 from obbhbb_ros.labels.text import write_lines
 
 CORNERS = ('x1', 'y1', 'x2', 'y2', 'x3', 'y3', 'x4', 'y4')
 REFERENCE = ('hx1', 'hy1', 'hx2', 'hy2')
-REQUIRED = ('image', 'instance', 'class', *CORNERS)
-COLUMNS = (*REQUIRED, *REFERENCE, 'mask', 'score')
+BOUNDS = ('x_min', 'y_min', 'x_max', 'y_max')
+NAMES = ('image', 'instance', 'class')
+COLUMNS = (*NAMES, *CORNERS, *REFERENCE, 'mask', 'score')
+BOX_COLUMNS = (*NAMES, 'score', *BOUNDS)
 
 
 def read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
@@ -64,20 +73,8 @@ def read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterato
     ImageLabels
         Boxes in the order of the file, even where the rows of several images alternate.
     """
-    lines = ((number, line) for number, line in text_lines(path, on_error) if line.strip())
-    number, first = next(lines, (None, ''))
-    try:
-        header = _Header(path, number, first)
-    except LabelError as error:
-        on_error(error)
-        return
     images: dict[str, list[Box]] = {}
-    for row, line in lines:
-        try:
-            image, box = header.parse(line)
-        except ValueError as error:
-            on_error(LabelError(path, row, str(error)))
-            continue
+    for _, (image, box) in read_rows(path, on_error, _header):
         boxes = images.setdefault(image, [])
         if box is not None:
             boxes.append(box)
@@ -85,31 +82,30 @@ def read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterato
         yield assemble(image, boxes, image_size, path)
 
 
-class _Header:
-    """The header of a file, and what it makes of the rows below it."""
+def _header(columns: list[str]) -> ParseRow[tuple[str, Box | None]]:
+    upright = any(column in columns for column in BOUNDS)
+    upright = upright and not any(column in columns for column in CORNERS)
+    shape = BOUNDS if upright else CORNERS
+    _check_columns(columns, shape)
+    return _Rows(columns, shape).parse
 
-    def __init__(self, path: Path, line: int | None, text: str) -> None:
-        """Find the columns; raise a LabelError where they do not serve."""
-        try:
-            columns = [column.strip() for column in _split(text)]
-            _check_columns(columns)
-        except ValueError as error:
-            raise LabelError(path, line, str(error)) from None
-        index = {column: columns.index(column) for column in COLUMNS if column in columns}
-        self._count = len(columns)
+
+class _Rows:
+    """Where the columns of a file are, and what they make of a row."""
+
+    def __init__(self, columns: Sequence[str], shape: Sequence[str]) -> None:
+        """Find the columns."""
+        index = {column: number for number, column in enumerate(columns)}
         self._image = index['image']
         self._instance = index['instance']
         self._class = index['class']
-        self._corners = [index[column] for column in CORNERS]
+        self._shape = [index[column] for column in shape]
         self._reference = [index[column] for column in REFERENCE if column in index]
         self._mask = index.get('mask')
         self._score = index.get('score')
 
-    def parse(self, line: str) -> tuple[str, Box | None]:
-        """Split a row into image name and box; raise ValueError where it is malformed."""
-        fields = _split(line)
-        if len(fields) != self._count:
-            raise ValueError(f'{len(fields)} fields, the header has {self._count}')
+    def parse(self, fields: list[str]) -> tuple[str, Box | None]:
+        """Turn a row into image name and box; raise ValueError where it is malformed."""
         image = fields[self._image]
         if not image:
             raise ValueError('no image name')
@@ -119,34 +115,30 @@ class _Header:
 
     def _box(self, fields: Sequence[str]) -> Box:
         score = '' if self._score is None else fields[self._score]
+        shape: Sequence[float] = parse_numbers([fields[index] for index in self._shape])
+        reference = _parse_reference([fields[index] for index in self._reference])
+        if len(shape) == len(BOUNDS):
+            reference = shape if reference is NO_REFERENCE else reference
+            shape = upright_corners(shape)
         return Box(
-            corners=parse_numbers([fields[index] for index in self._corners]),
+            corners=shape,
             class_id=fields[self._class],
             id=fields[self._instance],
             score=parse_numbers([score])[0] if score else 1.0,
-            reference=_parse_reference([fields[index] for index in self._reference]),
+            reference=reference,
             hull=None if self._mask is None else _parse_hull(fields[self._mask]),
         )
 
 
-def _check_columns(columns: Sequence[str]) -> None:
-    missing = [column for column in REQUIRED if column not in columns]
+def _check_columns(columns: Sequence[str], shape: Sequence[str]) -> None:
+    missing = [column for column in (*NAMES, *shape) if column not in columns]
     if any(column in columns for column in REFERENCE):
         missing += [column for column in REFERENCE if column not in columns]
     if missing:
         raise ValueError(f'missing columns: {", ".join(missing)} (header: {",".join(columns)})')
-    twice = [column for column in COLUMNS if columns.count(column) > 1]
+    twice = [column for column in (*COLUMNS, *shape) if columns.count(column) > 1]
     if twice:
-        raise ValueError(f'columns named more than once: {", ".join(twice)}')
-
-
-def _split(line: str) -> list[str]:
-    if '"' not in line:
-        return line.split(',')
-    try:
-        return next(csv.reader([line], strict=True))
-    except csv.Error as error:
-        raise ValueError(f'not a CSV row: {error}') from None
+        raise ValueError(f'columns named more than once: {", ".join(dict.fromkeys(twice))}')
 
 
 def _parse_reference(fields: Sequence[str]) -> Sequence[float]:
@@ -184,7 +176,7 @@ def write(path: Path, images: list[ImageLabels]) -> None:
     scored = any(np.any(labels.scores != 1.0) for labels in images)
     columns = COLUMNS if scored else COLUMNS[:-1]
     rows = (row[: len(columns)] for labels in images for row in _rows(labels))
-    write_lines(path, [_join(columns), *map(_join, rows)])
+    write_lines(path, [join_row(columns), *map(join_row, rows)])
 
 
 def _rows(labels: ImageLabels) -> Iterator[Sequence[str]]:
@@ -210,26 +202,64 @@ def _mask(hull: FloatArray | None) -> str:
     return '' if hull is None else ';'.join(join_numbers(point) for point in hull.tolist())
 
 
-def _join(fields: Iterable[str]) -> str:
-    row = io.StringIO()
-    csv.writer(row, lineterminator='').writerow(fields)
-    line = row.getvalue()
-    if '\n' in line or '\r' in line:
-        raise ValueError(f'a row of a table is one line, this one has a line break: {line!r}')
-    return line
+def write_boxes(path: Path, images: list[ConvertedImage]) -> None:
+    """
+    Write axis-aligned boxes to one CSV file; numbers read back as the very same.
+
+    The six diagnostics follow if any image has them; an unknown one is empty, `capped` 0 or 1.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    images : list of ConvertedImage
+        The images; several of the same name become one.
+
+    Raises
+    ------
+    ValueError
+        If an image has no name, or a name, class or id holds a line break.
+    """
+    diagnosed = any(converted.diagnostics is not None for converted in images)
+    columns = (*BOX_COLUMNS, *DIAGNOSTICS) if diagnosed else BOX_COLUMNS
+    rows = (row for converted in images for row in _box_rows(converted, len(columns)))
+    write_lines(path, [join_row(columns), *map(join_row, rows)])
+
+
+def _box_rows(converted: ConvertedImage, count: int) -> Iterator[Sequence[str]]:
+    if not converted.image:
+        raise ValueError(f'an image without a name cannot stand in a table ({converted.source})')
+    if not converted.class_ids:
+        yield (converted.image, *[''] * (count - 1))
+    for box in converted_boxes(converted):
+        values = [_field(value) for value in box.diagnostics.values()]
+        blank = [''] * (count - len(BOX_COLUMNS) - len(values))
+        bounds = map(repr, box.xyxy)
+        yield (converted.image, box.id, box.class_id, repr(box.score), *bounds, *values, *blank)
+
+
+def _field(value: Value) -> str:
+    if value is None:
+        return ''
+    return str(int(value)) if isinstance(value, bool) else repr(value)
 
 
 def sniff(head: str) -> bool:
-    """Tell whether the first line names a column of corners."""
-    first = next((line for line in head.splitlines() if line.strip()), '')
-    return any(column.strip(' "') in CORNERS for column in first.split(','))
+    """Tell whether the first line names a column of corners, or all four of bounds."""
+    columns = first_columns(head)
+    return any(column in CORNERS for column in columns) or set(BOUNDS) <= set(columns)
 
 
 FORMAT = Format(
     name='csv',
     suffixes=('.csv',),
-    summary='CSV of many images, one box a row: ' + ','.join(COLUMNS[:-1]),
+    summary=(
+        f'CSV of many images, one box a row: {",".join(COLUMNS[:-1])}; '
+        f'or {",".join(BOUNDS)} instead of the corners'
+    ),
     read=read,
     write=write,
     sniff=sniff,
+    write_boxes=write_boxes,
+    holds_diagnostics=True,
 )

@@ -1,4 +1,4 @@
-"""The one way to write labels, whatever their format."""
+"""The one way to write labels, and the one to write converted boxes, whatever their format."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from obbhbb_ros.labels.converted import ConvertedImage
 from obbhbb_ros.labels.format import Format
 from obbhbb_ros.labels.format import Write
 from obbhbb_ros.labels.format import names
@@ -74,6 +75,72 @@ def _format_by_suffix(path: Path) -> Format:
 
 def _writable() -> str:
     return names(each for each in FORMATS.values() if each.write is not None)
+
+
+def write_boxes(
+    path: str | os.PathLike[str],
+    images: Iterable[ConvertedImage],
+    format: str | None = None,  # noqa: A002
+) -> None:
+    """
+    Write axis-aligned boxes to a file or, in formats of one image a file, to a folder.
+
+    All boxes are checked and turned into text before the first file is opened. Names, ids and
+    scores that a format cannot hold are left out.
+
+    Parameters
+    ----------
+    path : path-like
+        File or folder, as for `write_labels`.
+    images : iterable of ConvertedImage
+        The images.
+    format : str, optional
+        Name of one of `FORMATS`; may be left out where the suffix of `path` says it.
+
+    Raises
+    ------
+    ValueError
+        If the format is unknown, has no place for axis-aligned boxes or for diagnostics that are
+        given, or is not to be told from the suffix; if it cannot hold a name or value. Nothing is
+        written then.
+    OSError
+        If a file cannot be written.
+    """
+    path = Path(path)
+    chosen = box_format(path, format)
+    converted = list(images)
+    if not chosen.holds_diagnostics and any(each.diagnostics is not None for each in converted):
+        raise ValueError(no_diagnostics(chosen))
+    assert chosen.write_boxes is not None
+    chosen.write_boxes(path, converted)
+
+
+def box_format(path: Path, name: str | None) -> Format:
+    """
+    Tell the format that `write_boxes` would write.
+
+    Raises
+    ------
+    ValueError
+        As `write_boxes`.
+    """
+    able = [each for each in FORMATS.values() if each.write_boxes is not None]
+    if name is not None:
+        chosen = format_named(name)
+        if chosen not in able:
+            raise ValueError(f'label format {name!r} is not for boxes: use {names(able)}')
+        return chosen
+    # A suffix that two formats share belongs to the one that has it first.
+    candidates = [each for each in able if path.suffix.lower() == each.suffixes[0]]
+    if len(candidates) != 1:
+        raise ValueError(f'{path}: name the label format to write: {names(able)}')
+    return candidates[0]
+
+
+def no_diagnostics(chosen: Format) -> str:
+    """Say that a format has no place for diagnostics, and which do."""
+    able = names(each for each in FORMATS.values() if each.holds_diagnostics)
+    return f'label format {chosen.name!r} has no place for diagnostics: use {able}'
 
 
 def _check(labels: ImageLabels) -> None:

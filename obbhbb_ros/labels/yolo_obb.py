@@ -12,11 +12,8 @@ format has no hulls or reference boxes, and its labels no ids: these are not wri
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,21 +22,19 @@ from obbhbb_ros.labels.files import CLASSES_FILE
 from obbhbb_ros.labels.files import target_files
 from obbhbb_ros.labels.format import Format
 from obbhbb_ros.labels.format import ImageSize
-from obbhbb_ros.labels.image_size import stored_size
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import FloatArray
 from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import LabelError
 from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import assemble
-from obbhbb_ros.labels.records import raise_error
-from obbhbb_ros.labels.text import is_index
 from obbhbb_ros.labels.text import is_normalised
 from obbhbb_ros.labels.text import join_numbers
 from obbhbb_ros.labels.text import parse_numbers
-from obbhbb_ros.labels.text import read_boxes
-from obbhbb_ros.labels.text import text_lines
 from obbhbb_ros.labels.text import write_lines
+from obbhbb_ros.labels.yolo_text import numbered_names
+from obbhbb_ros.labels.yolo_text import parse_class
+from obbhbb_ros.labels.yolo_text import parse_score
+from obbhbb_ros.labels.yolo_text import read_image
+from obbhbb_ros.labels.yolo_text import unit_scores
 
 FIELDS = 'class x1 y1 x2 y2 x3 y3 x4 y4 [confidence [track]]'
 COUNTS = (9, 10, 11)
@@ -64,46 +59,7 @@ def read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterato
     ImageLabels
         Named after the file. Without boxes it needs no size: `size` is None where unknown.
     """
-    try:
-        parse = partial(_parse, names=class_names(path.parent))
-    except LabelError as error:
-        on_error(error)
-        return
-    boxes = read_boxes(path, on_error, parse)
-    try:
-        size = image_size or stored_size(path)
-    except LabelError as error:
-        if boxes:
-            on_error(error)
-            return
-        size = None
-    labels = assemble(path.stem, boxes, size, path)
-    yield replace(labels, corners=labels.corners * np.array(size or (1, 1), dtype=np.float64))
-
-
-def class_names(folder: Path) -> list[str]:
-    """
-    Read ``classes.txt``: the name of class i is in line i + 1.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the label files.
-
-    Returns
-    -------
-    list of str
-        Names, '' for a blank line; empty where there is no such file.
-
-    Raises
-    ------
-    LabelError
-        If the file is not UTF-8 text.
-    """
-    path = folder / CLASSES_FILE
-    if not path.is_file():
-        return []
-    return [line.strip() for _, line in text_lines(path, raise_error)]
+    yield from read_image(path, image_size, on_error, _parse)
 
 
 def _parse(line: str, names: Sequence[str]) -> Box:
@@ -113,27 +69,9 @@ def _parse(line: str, names: Sequence[str]) -> Box:
     corners = parse_numbers(fields[1:9])
     if not is_normalised(corners):
         raise ValueError('corners are not normalised to 0..1')
-    score = _score(fields[9]) if len(fields) > COUNTS[0] else 1.0
+    score = parse_score(fields[9]) if len(fields) > COUNTS[0] else 1.0
     track = fields[10] if len(fields) == COUNTS[-1] else ''
-    return Box(corners, _class_id(fields[0], names), track, score)
-
-
-def _score(field: str) -> float:
-    (score,) = parse_numbers([field])
-    if not 0.0 <= score <= 1.0:
-        raise ValueError(f'confidence {field} is not within 0..1')
-    return score
-
-
-def _class_id(field: str, names: Sequence[str]) -> str:
-    if not is_index(field):
-        raise ValueError(f'class index {field!r} is not a whole number')
-    index = int(field)
-    if not names:
-        return str(index)
-    if index >= len(names) or not names[index]:
-        raise ValueError(f'class {index} has no name in {CLASSES_FILE}')
-    return names[index]
+    return Box(corners, parse_class(fields[0], names), track, score)
 
 
 def write(path: Path, images: list[ImageLabels]) -> None:
@@ -160,7 +98,8 @@ def write(path: Path, images: list[ImageLabels]) -> None:
     """
     targets = target_files(path, images, '.txt')
     folder = path if not targets else targets[0][0].parent
-    names = _numbered_names(folder, images)
+    used = [name for labels in images for name in labels.class_ids]
+    names = numbered_names(folder, used)
     files = [(file, _lines(labels, names)) for file, labels in targets]
     if names:
         write_lines(folder / CLASSES_FILE, names)
@@ -168,22 +107,12 @@ def write(path: Path, images: list[ImageLabels]) -> None:
         write_lines(file, lines)
 
 
-def _numbered_names(folder: Path, images: Iterable[ImageLabels]) -> list[str]:
-    used = list(dict.fromkeys(name for labels in images for name in labels.class_ids))
-    if all(is_index(name) and name == str(int(name)) for name in used):
-        return []
-    for name in used:
-        if not name or name != name.strip() or name.splitlines() != [name]:
-            raise ValueError(f'class {name!r} cannot stand as a line of {CLASSES_FILE}')
-    known = class_names(folder)
-    return known + [name for name in used if name not in known]
-
-
 def _lines(labels: ImageLabels, names: Sequence[str]) -> list[str]:
     numbers = {name: str(index) for index, name in enumerate(names)}
     rows = _normalised(labels).tolist()
     if np.any(labels.scores != 1.0):
-        rows = [[*row, score] for row, score in zip(rows, _scores(labels), strict=True)]
+        scores = unit_scores(labels.image, labels.scores)
+        rows = [[*row, score] for row, score in zip(rows, scores, strict=True)]
     pairs = zip(labels.class_ids, rows, strict=True)
     return [f'{numbers.get(name, name)} {join_numbers(row)}' for name, row in pairs]
 
@@ -197,13 +126,6 @@ def _normalised(labels: ImageLabels) -> FloatArray:
     if not is_normalised(corners.flat):
         raise ValueError(f'image {labels.image!r}: corners far outside its size {labels.size}')
     return corners
-
-
-def _scores(labels: ImageLabels) -> list[float]:
-    scores: list[float] = labels.scores.tolist()
-    if min(scores) < 0.0 or max(scores) > 1.0:
-        raise ValueError(f'image {labels.image!r}: scores are not within 0..1')
-    return scores
 
 
 def sniff(head: str) -> bool:

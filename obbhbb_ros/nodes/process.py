@@ -14,9 +14,14 @@ from rclpy.node import Node
 
 from obbhbb_ros.nodes.executor import ExpressExecutor
 
+_LONGEST_WAIT = 1.0
+
 
 class StartError(RuntimeError):
     """A node cannot start; the text says why."""
+
+
+_REASONS = (ParameterException, StartError, ValueError, OSError)
 
 
 def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
@@ -44,13 +49,19 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         return 1
     try:
         node = make_node()
-    except (ParameterException, StartError, ValueError, OSError) as error:
-        print(f'cannot start: {error}', file=sys.stderr)
-        rclpy.try_shutdown()
-        return 1
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except KeyboardInterrupt:
         rclpy.try_shutdown()
         return 0
+    except Exception as error:
+        # A signal that comes this early takes the context from under the node being made.
+        told_to_stop = not rclpy.ok()
+        rclpy.try_shutdown()
+        if told_to_stop:
+            return 0
+        if not isinstance(error, _REASONS):
+            raise
+        print(f'cannot start: {error}', file=sys.stderr)
+        return 1
     executor = ExpressExecutor(node)
     try:
         spin(executor, node)
@@ -67,7 +78,9 @@ def spin(executor: Executor, node: Node) -> None:
     """Spin until the context ends; an error in a callback is logged and survived."""
     while rclpy.ok():
         try:
-            executor.spin_once()
+            # Not for ever: rclpy wakes its executors a moment before a signal ends the context, and
+            # who is back at waiting by then would never hear of it.
+            executor.spin_once(timeout_sec=_LONGEST_WAIT)
         except ExternalShutdownException:
             return
         except Exception as error:

@@ -61,7 +61,9 @@ def draw_scene(labels: ImageLabels, boxes: Mapping[str, FloatArray], path: Path)
         panels = details.subplots(2, _CLOSE_UPS // 2).ravel()
         for panel, row in zip(panels, _typical(labels), strict=False):
             _draw_close_up(panel, labels, boxes, row)
-        details.legend(handles=_legend(boxes), loc='outside lower center', ncols=4)
+        # Room below for the legend; 'outside' places are not known to matplotlib 3.6.
+        figure.set_layout_engine('constrained', rect=(0.0, 0.08, 1.0, 0.92))
+        figure.legend(handles=_legend(boxes), loc='lower center', ncol=5)
     figure.savefig(path, dpi=100)
 
 

@@ -21,6 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from lifecycle_msgs.srv import GetAvailableTransitions
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.msg import SetParametersResult
@@ -40,6 +41,17 @@ from obbhbb_ros.nodes.documentation import yaml_value
 from obbhbb_ros.nodes.messages import message_type
 from obbhbb_ros.nodes.settings import DETECTIONS
 from obbhbb_ros.nodes.settings import TABLE
+
+# The last one is called first.
+SERVICES = {
+    'set_parameters': SetParameters,
+    'set_parameters_atomically': SetParametersAtomically,
+    'get_parameters': GetParameters,
+    'describe_parameters': DescribeParameters,
+    'change_state': ChangeState,
+    'get_available_transitions': GetAvailableTransitions,
+    'get_state': GetState,
+}
 
 # Far more than anything takes, for machines that are busy with something else.
 TIMEOUT = 30.0
@@ -74,6 +86,10 @@ class NodeProcess:
     @property
     def log(self) -> str:
         return self.path.read_text(encoding='utf-8', errors='replace')
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
 
     @property
     def running(self) -> bool:
@@ -168,9 +184,13 @@ class Converter:
         self.namespace = namespace or f'/test_{os.getpid()}_{number}'
         self._input_type = (parameters or {}).get('input_type', DETECTIONS)
         self._stamps = itertools.count(1)
-        self._clients: dict[str, Any] = {}
         self._publisher: Any = None
         self.peer = Peer(site.context, self.namespace)
+        self._clients = {
+            service: self.peer.node.create_client(kind, f'obb_to_hbb/{service}')
+            for service, kind in SERVICES.items()
+        }
+        self._heard = False
         self.boxes = self.peer.collect(Detection2DArray, 'boxes') if listen else []
         self._diagnostics = self.peer.collect(DiagnosticArray, '/diagnostics')
         self.process = NodeProcess(
@@ -248,7 +268,7 @@ class Converter:
             nonlocal last, again
             if time.monotonic() > again:
                 last = self.send(message_type(self._input_type)())
-                again = time.monotonic() + 0.25
+                again = time.monotonic() + 0.1
             return any(stamp_of(message) == last for message in answers)
 
         self.wait(answered, 'the first answer')
@@ -278,27 +298,48 @@ class Converter:
         """Publish a message and wait for its answer."""
         return self.answer_to(self.send(message), answers)
 
-    def call_async(self, kind: Any, service: str, request: Any) -> Future:
+    def call_async(self, service: str, request: Any) -> Future:
         """Call a service of the node, once it is there."""
-        if service not in self._clients:
-            self._clients[service] = self.peer.node.create_client(kind, f'obb_to_hbb/{service}')
+        if not self._heard:
+            self._make_heard()
         client = self._clients[service]
         self.wait(client.service_is_ready, f'the service {service}')
         return client.call_async(request)
 
-    def call(self, kind: Any, service: str, request: Any) -> Any:
+    def call(self, service: str, request: Any) -> Any:
         """Call a service of the node and wait for the response."""
-        future = self.call_async(kind, service, request)
+        future = self.call_async(service, request)
         self.wait(future.done, f'a response of {service}')
         return future.result()
 
+    def _make_heard(self) -> None:
+        """
+        Wait until the node's responses find their way.
+
+        A node drops the response to a client that it has not discovered in full. It discovers
+        clients in the order of their creation, so a response to the last one is enough.
+        """
+        client = self._clients['get_state']
+        futures: list[Future] = []
+        again = 0.0
+
+        def answered() -> bool:
+            nonlocal again
+            if client.service_is_ready() and time.monotonic() > again:
+                futures.append(client.call_async(GetState.Request()))
+                again = time.monotonic() + 1.0
+            return any(future.done() for future in futures)
+
+        self.wait(answered, 'the first response')
+        self._heard = True
+
     def set_one_by_one(self, values: Mapping[str, Any]) -> list[SetParametersResult]:
         request = SetParameters.Request(parameters=parameters_of(values))
-        return list(self.call(SetParameters, 'set_parameters', request).results)
+        return list(self.call('set_parameters', request).results)
 
     def set_atomically(self, values: Mapping[str, Any]) -> SetParametersResult:
         request = SetParametersAtomically.Request(parameters=parameters_of(values))
-        return self.call(SetParametersAtomically, 'set_parameters_atomically', request).result
+        return self.call('set_parameters_atomically', request).result
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Set parameters that have to be accepted."""
@@ -309,22 +350,22 @@ class Converter:
     def get(self, *names: str) -> list[Any]:
         """Get parameters."""
         request = GetParameters.Request(names=names)
-        response = self.call(GetParameters, 'get_parameters', request)
+        response = self.call('get_parameters', request)
         return [parameter_value_to_python(value) for value in response.values]
 
     def describe(self, *names: str) -> list[ParameterDescriptor]:
         request = DescribeParameters.Request(names=names)
-        response = self.call(DescribeParameters, 'describe_parameters', request)
+        response = self.call('describe_parameters', request)
         return list(response.descriptors)
 
     def state(self) -> str:
         """Ask for the lifecycle state."""
-        return self.call(GetState, 'get_state', GetState.Request()).current_state.label
+        return self.call('get_state', GetState.Request()).current_state.label
 
     def change_state(self, transition: int) -> bool:
         """Ask for a transition, and tell whether it succeeded."""
         request = ChangeState.Request(transition=Transition(id=transition))
-        return self.call(ChangeState, 'change_state', request).success
+        return self.call('change_state', request).success
 
     def reports(self) -> list[DiagnosticArray]:
         """Give the node's own diagnostics that have arrived."""

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import copy
+import struct
 from collections.abc import Callable
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,6 +159,53 @@ def answer_to_bytes(node: Converter, data: bytes, answers: list[bytes]) -> bytes
     return node.wait_for(
         lambda: (answer for answer in answers if answer[stamp] == data[stamp]), 'its bytes'
     )
+
+
+@pytest.mark.parametrize('count', [1, 2, 3])
+def test_bytes_of_padding_behind_a_message_do_no_harm(node: Converter, count: int) -> None:
+    message = message_without_gaps()
+    stamp = node.stamped(message)
+    node.publisher.publish(serialize_message(message) + bytes(count))
+    answer = node.answer_to(stamp)
+    np.testing.assert_array_equal(rows_of(answer), axis_aligned(fleet(4)))
+
+
+def test_a_message_of_another_byte_order_is_converted_all_the_same(node: Converter) -> None:
+    message = rich_message()
+    stamp = node.stamped(message)
+    node.publisher.publish(big_endian(message))
+    answer = node.answer_to(stamp)
+    np.testing.assert_array_equal(rows_of(answer), axis_aligned(fleet(5)))
+    for given, got in zip(message.detections, answer.detections, strict=True):
+        got.bbox = copy.deepcopy(given.bbox)
+    assert answer == message
+
+
+def big_endian(message: Detection2DArray) -> bytes:
+    """Serialize a message as a machine with the other byte order does."""
+    data = bytearray()
+    for kind, value in parts(message):
+        data += bytes(-len(data) % struct.calcsize(kind[-1]))
+        data += struct.pack('>' + kind, value)
+    return bytes(4) + bytes(data)
+
+
+def parts(value: Any) -> Iterator[tuple[str, Any]]:
+    """Take a message apart into what CDR is made of."""
+    if isinstance(value, str):
+        text = value.encode() + bytes(1)
+        yield 'I', len(text)
+        yield f'{len(text)}s', text
+    elif isinstance(value, (list, np.ndarray)):
+        if isinstance(value, list):
+            yield 'I', len(value)
+        for each in value:
+            yield from parts(each)
+    elif isinstance(value, (int, float)):
+        yield 'd' if isinstance(value, float) else 'i', value
+    else:
+        for name in value.get_fields_and_field_types():
+            yield from parts(getattr(value, name))
 
 
 def test_a_late_subscriber_gets_the_messages_from_then_on(

@@ -7,7 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Converter
+from harness import Counts
 from harness import values_of
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import GetAvailableTransitions
@@ -63,10 +65,11 @@ def assert_it_converts(node: Converter) -> None:
 
 def send_while_inactive(node: Converter, count: int) -> None:
     """Send messages until the node has counted so many that it left alone."""
-    before = node.counts()
-    while node.counts()['messages_while_inactive'] < before['messages_while_inactive'] + count:
+    counts = Counts(DiagnosticStatus())
+    while counts['messages_while_inactive'] < count:
         for _ in range(count):
             node.send(detections(fleet(1)))
+        counts = node.counts()
 
 
 def test_with_autostart_the_node_is_active_by_itself(start: Start) -> None:
@@ -187,6 +190,6 @@ def test_a_node_that_cannot_be_configured_says_why_and_stays(start: Start) -> No
 
 def test_lifecycle_tools_are_told_the_way(managed: Converter) -> None:
     request = GetAvailableTransitions.Request()
-    response = managed.call(GetAvailableTransitions, 'get_available_transitions', request)
+    response = managed.call('get_available_transitions', request)
     labels = [each.transition.label for each in response.available_transitions]
     assert sorted(labels) == ['configure', 'shutdown']

@@ -249,7 +249,7 @@ def test_it_waits_for_somebody_to_listen(play: Play, put: Put) -> None:
     ('parameters', 'texts'),
     [
         ({'path': '/nowhere/ships.csv'}, ('/nowhere/ships.csv', 'no such')),
-        ({'path': str(REAL_SHIPS), 'format': 'coco'}, ('format', 'coco', 'dota')),
+        ({'path': str(REAL_SHIPS), 'format': 'runes'}, ('format', 'runes', 'dota')),
         ({'path': str(REAL_SHIPS), 'rate': 0.0}, ('rate', '0.0')),
         ({'path': str(REAL_SHIPS), 'output_type': 'Image'}, ('output_type', 'Image')),
         ({'path': str(REAL_SHIPS), 'image_width': 5}, ('image_width', 'image_height')),

@@ -20,7 +20,9 @@ CSV = 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\n'
 
 
 def test_the_registry_names_each_format_as_it_names_itself() -> None:
-    assert list(FORMATS) == ['dota', 'yolo_obb', 'csv']
+    assert list(FORMATS) == [
+        'dota', 'yolo_obb', 'yolo', 'csv', 'wkt', 'hrsc', 'voc', 'coco', 'geojson', 'shapefile',
+    ]  # fmt: skip
     for name, entry in FORMATS.items():
         assert entry.name == name
         assert entry.summary
@@ -47,7 +49,16 @@ def test_the_registry_names_each_format_as_it_names_itself() -> None:
         ('a.txt', f'\ufeff{YOLO}', 'yolo_obb'),
         ('a.csv', CSV, 'csv'),
         ('a.CSV', f'\ufeff\n{CSV}', 'csv'),
-        ('a.csv', 'image,what\n', 'csv'),
+        ('a.csv', 'image,instance,class,score,x_min,y_min,x_max,y_max\n', 'csv'),
+        ('a.csv', '"Geometry",class\n', 'wkt'),
+        ('a.txt', '0 0.5 0.5 0.1 0.1\n', 'yolo'),
+        ('a.txt', '0 0.5 0.5 0.1 0.1 0.93 4\n', 'yolo'),
+        ('a.xml', '<?xml version="1.0"?>\n<HRSC_Image>\n', 'hrsc'),
+        ('a.xml', '<annotation verified="no">\n', 'voc'),
+        ('a.json', '{"info": {}, "licenses": [], "images": [', 'coco'),
+        ('a.json', '{"type": "FeatureCollection", "features": [', 'geojson'),
+        ('a.geojson', '{}', 'geojson'),
+        ('a.shp', '\x00\x00\x27\x0a', 'shapefile'),
         ('a.csv', '', 'csv'),
     ],
 )
@@ -65,12 +76,14 @@ def test_a_blank_file_counts_as_the_first_format_of_its_suffix(put: Put) -> None
     ('name', 'text'),
     [
         ('a.txt', 'ship\n'),
-        ('a.txt', '0 0.5 0.5 0.1 0.1\n'),
+        ('a.txt', '0 0.5 0.5 0.1\n'),
         ('a.txt', f'{DOTA}{YOLO}'),
+        ('a.csv', 'image,what\n'),
+        ('a.xml', '<html>'),
         ('a.json', '{}'),
         ('labels', DOTA),
     ],
-    ids=['words', 'YOLO boxes that are not oriented', 'both', 'suffix', 'no suffix'],
+    ids=['words', 'too few numbers', 'both', 'other table', 'other XML', 'other JSON', 'no suffix'],
 )
 def test_what_cannot_be_told_is_refused_with_the_path_and_the_formats(
     put: Put, name: str, text: str

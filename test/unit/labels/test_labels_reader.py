@@ -101,8 +101,8 @@ def test_a_folder_without_label_files_is_an_error_even_with_on_error(
 
 
 def test_an_unknown_format_is_refused_with_those_there_are(put: Put) -> None:
-    with pytest.raises(ValueError, match=r"'coco'.*dota.*yolo_obb.*csv"):
-        read_labels(put('P1.txt', DOTA), 'coco')
+    with pytest.raises(ValueError, match=r"'labelme'.*dota.*yolo_obb.*csv"):
+        read_labels(put('P1.txt', DOTA), 'labelme')
 
 
 @pytest.mark.parametrize('size', [(640,), (640, 480, 3), (0, 480), (640, 0), (640.0, 480), 640])

@@ -109,7 +109,7 @@ def test_a_header_alone_is_no_image(put: Put) -> None:
 def test_a_header_that_does_not_serve_is_an_error(put: Put, header: str, message: str) -> None:
     path = put('all.csv', _table('', header, FULL))
     with pytest.raises(LabelError) as caught:
-        list(read_labels(path))
+        list(read_labels(path, 'csv'))
     assert (caught.value.path, caught.value.line) == (path, 2)
     assert message in caught.value.message
 

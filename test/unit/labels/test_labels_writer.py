@@ -98,8 +98,8 @@ def test_otherwise_the_format_has_to_be_named(make: Make, tmp_path: Path, name: 
 
 
 def test_an_unknown_format_is_refused(make: Make, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="'coco'"):
-        write_labels(tmp_path, [make()], 'coco')
+    with pytest.raises(ValueError, match="'labelme'"):
+        write_labels(tmp_path, [make()], 'labelme')
 
 
 def test_a_format_that_is_only_read_is_refused(
@@ -120,7 +120,7 @@ def _with_nan(array: np.ndarray) -> np.ndarray:
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
-@pytest.mark.parametrize('format_name', list(FORMATS))
+@pytest.mark.parametrize('format_name', [name for name, each in FORMATS.items() if each.write])
 @pytest.mark.parametrize(
     ('field', 'value'),
     [

@@ -1,0 +1,104 @@
+"""
+HRSC2016: one XML file an image, oriented and axis-aligned box of each ship, in pixels.
+
+::
+
+    <HRSC_Image>
+      <Img_FileName>100000001</Img_FileName>
+      <Img_SizeWidth>1138</Img_SizeWidth> <Img_SizeHeight>833</Img_SizeHeight>
+      <HRSC_Objects>
+        <HRSC_Object>
+          <Object_ID>100000003</Object_ID> <Class_ID>100000013</Class_ID>
+          <box_xmin>628</box_xmin> … <box_ymax>783</box_ymax>
+          <mbox_cx>719.9</mbox_cx> … <mbox_h>172.7</mbox_h> <mbox_ang>1.499893</mbox_ang>
+
+``mbox_ang`` is in radians from image +x towards +y, along ``mbox_w``. A ship without ``mbox_…``
+reads as the upright box of its ``box_…``. Difficulty, head point and segmentation are not read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from obbhbb_ros.labels.documents import has_any
+from obbhbb_ros.labels.documents import image_size_of
+from obbhbb_ros.labels.documents import read_xml
+from obbhbb_ros.labels.documents import read_xml_records
+from obbhbb_ros.labels.documents import xml_numbers
+from obbhbb_ros.labels.documents import xml_text
+from obbhbb_ros.labels.format import Format
+from obbhbb_ros.labels.format import ImageSize
+from obbhbb_ros.labels.records import NO_REFERENCE
+from obbhbb_ros.labels.records import Box
+from obbhbb_ros.labels.records import ImageLabels
+from obbhbb_ros.labels.records import LabelError
+from obbhbb_ros.labels.records import OnError
+from obbhbb_ros.labels.records import assemble
+from obbhbb_ros.labels.shapes import oriented_corners
+from obbhbb_ros.labels.shapes import upright_corners
+
+ROOT = 'HRSC_Image'
+ORIENTED = ('mbox_cx', 'mbox_cy', 'mbox_w', 'mbox_h', 'mbox_ang')
+BOUNDS = ('box_xmin', 'box_ymin', 'box_xmax', 'box_ymax')
+
+
+def read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
+    """
+    Read the one image of an HRSC2016 file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    image_size : tuple of int or None
+        Width and height in pixels; None to take them from the file.
+    on_error : callable
+        Gets a LabelError for each malformed object, or one where the file is no HRSC2016 XML.
+
+    Yields
+    ------
+    ImageLabels
+        Named as the file says, else after the file.
+    """
+    try:
+        document = read_xml(path, ROOT)
+    except LabelError as error:
+        on_error(error)
+        return
+    root = document.root
+    objects = root.findall('HRSC_Objects/HRSC_Object')
+    boxes = read_xml_records(path, document, objects, _parse, on_error)
+    own_size = image_size_of(xml_text(root, 'Img_SizeWidth'), xml_text(root, 'Img_SizeHeight'))
+    name = xml_text(root, 'Img_FileName', 'Img_ID') or path.stem
+    yield assemble(name, boxes, image_size or own_size, path)
+
+
+def _parse(element: Element) -> Box:
+    reference = xml_numbers(element, BOUNDS) if has_any(element, BOUNDS) else NO_REFERENCE
+    if has_any(element, ORIENTED) or reference is NO_REFERENCE:
+        corners = oriented_corners(*xml_numbers(element, ORIENTED))
+    else:
+        corners = upright_corners(reference)
+    return Box(
+        corners,
+        class_id=xml_text(element, 'Class_ID'),
+        id=xml_text(element, 'Object_ID'),
+        reference=reference,
+    )
+
+
+def sniff(head: str) -> bool:
+    """Tell whether the root of HRSC2016 is there."""
+    return f'<{ROOT}' in head
+
+
+FORMAT = Format(
+    name='hrsc',
+    suffixes=('.xml',),
+    summary='HRSC2016 XML, one file an image: mbox_cx … mbox_ang and box_xmin … of each ship',
+    read=read,
+    write=None,
+    sniff=sniff,
+)

@@ -1,0 +1,208 @@
+"""Ships to measure on: the labels of many images as one set of arrays."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.labels import OnError
+from obbhbb_ros.labels import match_references
+from obbhbb_ros.labels import read_labels
+from obbhbb_ros.study.progress import track
+
+
+@dataclass(frozen=True, eq=False)
+class Ships:
+    """
+    N oriented boxes with what is known of the ships in them.
+
+    Attributes
+    ----------
+    boxes : OrientedBoxes
+        The oriented boxes, all of them valid.
+    reference : ndarray, shape (N, 4)
+        Axis-aligned boxes that a conversion should find, xyxy, pixels; NaN rows where none.
+    class_ids : ndarray of str, shape (N,)
+        Classes.
+    image_of : ndarray of int, shape (N,)
+        Index of each ship's image, counted from 0 without gaps.
+    names : tuple of str
+        What to call each ship: image and id.
+    hulls : tuple of (ndarray or None)
+        Hull polygons, each of shape (K, 2), pixels.
+    skipped : int
+        Boxes that were left out because they cannot be converted.
+    """
+
+    boxes: OrientedBoxes
+    reference: FloatArray
+    class_ids: NDArray[np.str_]
+    image_of: NDArray[np.intp]
+    names: tuple[str, ...]
+    hulls: tuple[FloatArray | None, ...]
+    skipped: int = 0
+
+    @classmethod
+    def from_labels(cls, images: Iterable[ImageLabels]) -> Ships:
+        """
+        Join the labels of images; images of the same name become one.
+
+        Parameters
+        ----------
+        images : iterable of ImageLabels
+            The labels.
+
+        Returns
+        -------
+        Ships
+            Their ships, those left out that have no area or are not finite.
+
+        Raises
+        ------
+        ValueError
+            If no ship is left.
+        """
+        labels = list(images)
+        image_of = [each.image for each in labels for _ in each.class_ids]
+        if not image_of:
+            raise ValueError('no ships in the labels')
+        boxes = OrientedBoxes.from_corners(np.concatenate([each.corners for each in labels]))
+        ships = cls(
+            boxes=boxes,
+            reference=np.concatenate([each.reference for each in labels]),
+            class_ids=np.array([name for each in labels for name in each.class_ids]),
+            image_of=_numbered(image_of),
+            names=tuple(
+                f'{each.image} {name or row}'
+                for each in labels for row, name in enumerate(each.ids)
+            ),
+            hulls=tuple(hull for each in labels for hull in each.hulls),
+            skipped=int(np.sum(~boxes.valid)),
+        )
+        return ships if not ships.skipped else ships.take(boxes.valid)
+
+    def __len__(self) -> int:
+        """Count the ships."""
+        return len(self.boxes)
+
+    def take(self, rows: Any) -> Ships:
+        """
+        Select ships.
+
+        Parameters
+        ----------
+        rows : ndarray of int or ndarray of bool
+            What NumPy takes as an index of N rows.
+
+        Returns
+        -------
+        Ships
+            Those ships; their images are numbered anew.
+
+        Raises
+        ------
+        ValueError
+            If none is selected.
+        """
+        chosen = np.arange(len(self))[rows]
+        if not chosen.size:
+            raise ValueError('no ships selected')
+        return Ships(
+            boxes=self.boxes.take(chosen),
+            reference=self.reference[chosen],
+            class_ids=self.class_ids[chosen],
+            image_of=_numbered(self.image_of[chosen].tolist()),
+            names=tuple(self.names[row] for row in chosen),
+            hulls=tuple(self.hulls[row] for row in chosen),
+            skipped=self.skipped,
+        )
+
+    @property
+    def image_count(self) -> int:
+        """How many images hold the ships."""
+        return int(self.image_of.max()) + 1
+
+    @property
+    def with_reference(self) -> NDArray[np.bool_]:
+        """Which ships have a reference box of some area, shape (N,)."""
+        with np.errstate(invalid='ignore'):
+            return np.asarray((self.reference[:, 2:] > self.reference[:, :2]).all(axis=1))
+
+    @property
+    def tilt(self) -> FloatArray:
+        """
+        Angle between the long axis and the nearest image axis, degrees in [0, 45], shape (N,).
+
+        The paper's angle bands are bands of this: beyond 45 degrees an orientation is one of
+        these seen from the other axis.
+        """
+        degrees = np.degrees(self.boxes.theta)
+        return np.abs(np.mod(degrees + 45.0, 90.0) - 45.0)
+
+    @property
+    def aspect(self) -> FloatArray:
+        """Length over width, 1 or more, shape (N,)."""
+        return self.boxes.length / self.boxes.width
+
+
+def read_ships(
+    paths: Sequence[str | os.PathLike[str]],
+    format: str | None = None,  # noqa: A002
+    *,
+    reference: str | os.PathLike[str] | None = None,
+    image_size: tuple[int, int] | None = None,
+    on_error: OnError | None = None,
+) -> Ships:
+    """
+    Read the ships of label files.
+
+    Parameters
+    ----------
+    paths : sequence of path-like
+        Files or folders, as `obbhbb_ros.labels.read_labels` takes them.
+    format : str, optional
+        Format of `paths`; by default it is detected.
+    reference : path-like, optional
+        Labels that hold the reference boxes, matched by image and best overlap, see
+        `obbhbb_ros.labels.match_references`. By default each ship keeps the one beside it.
+    image_size : tuple of int, optional
+        Width and height of every image, pixels, for normalised formats.
+    on_error : callable, optional
+        Gets each malformed record; by default the first one is raised.
+
+    Returns
+    -------
+    Ships
+        All ships.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or a record is malformed and there is no `on_error`.
+    """
+    images = tuple(
+        labels
+        for path in paths
+        for labels in track(
+            read_labels(path, format, image_size=image_size, on_error=on_error), f'reading {path}'
+        )
+    )
+    if reference is not None:
+        others = read_labels(reference, image_size=image_size, on_error=on_error)
+        images = match_references(images, track(others, f'reading {reference}')).images
+    return Ships.from_labels(images)
+
+
+def _numbered(names: Sequence[Any]) -> NDArray[np.intp]:
+    """Give each name its number, from 0 in the order of first appearance."""
+    number: dict[Any, int] = {}
+    return np.array([number.setdefault(name, len(number)) for name in names], dtype=np.intp)

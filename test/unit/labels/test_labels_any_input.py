@@ -1,0 +1,120 @@
+"""Whatever a file holds, a reader with `on_error` ends, and what it yields is sound."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+
+from obbhbb_ros.labels import FORMATS
+from obbhbb_ros.labels import LabelError
+from obbhbb_ros.labels import read_labels
+
+SOUND = {
+    'dota': 'imagesource:x\n10 20 50 20 50 30 10 30 ship 0\n',
+    'yolo_obb': '0 0.1 0.2 0.5 0.2 0.5 0.3 0.1 0.3 0.9 4\n',
+    'yolo': '0 0.3 0.25 0.4 0.1 0.9 4\n',
+    'csv': 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\na,0,s,1,2,9,2,9,4,1,4\n',
+    'wkt': 'image,score,wkt\na,0.5,"POLYGON ((1 2, 9 2, 9 4, 1 4, 1 2))"\n',
+    'hrsc': (
+        '<HRSC_Image><Img_SizeWidth>9</Img_SizeWidth><Img_SizeHeight>9</Img_SizeHeight>'
+        '<HRSC_Objects><HRSC_Object><mbox_cx>5</mbox_cx><mbox_cy>3</mbox_cy><mbox_w>8</mbox_w>'
+        '<mbox_h>2</mbox_h><mbox_ang>0</mbox_ang></HRSC_Object></HRSC_Objects></HRSC_Image>'
+    ),
+    'voc': (
+        '<annotation><object><name>s</name><bndbox><xmin>1</xmin><ymin>2</ymin><xmax>9</xmax>'
+        '<ymax>4</ymax></bndbox></object></annotation>'
+    ),
+    'coco': json.dumps({
+        'images': [{'id': 1, 'file_name': 'a', 'width': 9, 'height': 9}],
+        'categories': [{'id': 1, 'name': 's'}],
+        'annotations': [{
+            'id': 1, 'image_id': 1, 'category_id': 1, 'bbox': [1, 2, 8, 2], 'score': 0.5,
+            'segmentation': [[1, 2, 9, 2, 9, 4, 1, 4]],
+        }],
+    }),
+    'geojson': json.dumps({
+        'type': 'FeatureCollection',
+        'features': [{
+            'type': 'Feature', 'properties': {'score': 1, 'image': 'a'}, 'id': 5,
+            'geometry': {'type': 'Polygon', 'coordinates': [[[1, 2], [9, 2], [9, 4], [1, 2]]]},
+        }],
+    }),
+}  # fmt: skip
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=4)
+    | st.dictionaries(
+        st.sampled_from(['id', 'type', 'coordinates', 'x']), inner, max_size=4
+    ),
+    max_leaves=8,
+)
+anywhere = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+
+
+def _read(path: Path, format_name: str) -> tuple[int, list[LabelError]]:
+    errors: list[LabelError] = []
+    count = 0
+    for labels in read_labels(path, format_name, image_size=(9, 9), on_error=errors.append):
+        assert np.isfinite(labels.corners).all()
+        assert np.isfinite(labels.scores).all()
+        count += len(labels.class_ids)
+    assert all(error.path == path for error in errors)
+    return count, errors
+
+
+def test_every_format_of_text_is_here() -> None:
+    assert set(SOUND) == set(FORMATS) - {'shapefile'}
+
+
+@pytest.mark.parametrize('format_name', list(SOUND))
+def test_the_sound_file_holds_one_box(tmp_path: Path, format_name: str) -> None:
+    path = tmp_path / 'file'
+    path.write_text(SOUND[format_name])
+    assert _read(path, format_name) == (1, [])
+
+
+@pytest.mark.parametrize('format_name', list(SOUND))
+@given(begin=st.integers(0, 600), length=st.integers(0, 40), patch=st.binary(max_size=8))
+@anywhere
+def test_a_damaged_file_ends_in_boxes_or_errors(
+    tmp_path: Path, format_name: str, begin: int, length: int, patch: bytes
+) -> None:
+    sound = SOUND[format_name].encode()
+    begin %= len(sound)
+    path = tmp_path / 'file'
+    path.write_bytes(sound[:begin] + patch + sound[begin + length :])
+    _read(path, format_name)
+
+
+def _places(document: object) -> list[tuple[object, ...]]:
+    """List the path to every value in a JSON document."""
+    items = (
+        document.items() if isinstance(document, dict)
+        else enumerate(document) if isinstance(document, list) else ()
+    )  # fmt: skip
+    return [(), *((key, *rest) for key, value in items for rest in _places(value))]
+
+
+@pytest.mark.parametrize('format_name', ['coco', 'geojson'])
+@given(data=st.data(), value=JSON)
+@anywhere
+def test_any_value_in_any_place_of_a_document_ends_in_boxes_or_errors(
+    tmp_path: Path, format_name: str, data: st.DataObject, value: object
+) -> None:
+    document = json.loads(SOUND[format_name])
+    *above, last = data.draw(st.sampled_from(_places(document)[1:]))
+    parent = document
+    for key in above:
+        parent = parent[key]
+    parent[last] = value
+    path = tmp_path / 'file'
+    path.write_text(json.dumps(document))
+    _read(path, format_name)

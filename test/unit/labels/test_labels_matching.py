@@ -1,0 +1,138 @@
+"""Oriented boxes and the reference boxes of another source."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from obbhbb_ros.labels import match_references
+from obbhbb_ros.labels.matching import match_boxes
+from obbhbb_ros.labels.records import Box
+from obbhbb_ros.labels.shapes import upright_corners
+
+if TYPE_CHECKING:
+    from conftest import Make
+
+
+def _box(*xyxy: float) -> Box:
+    return Box(upright_corners(xyxy), 'ship', reference=xyxy)
+
+
+def test_boxes_take_the_reference_of_the_same_image(make: Make) -> None:
+    boxes = [make('b', _box(0, 0, 10, 4)), make('a', _box(0, 0, 10, 4), _box(20, 0, 30, 4))]
+    references = [
+        make('train/a.png', _box(20, 0, 30, 5), _box(1, 0, 10, 4)),
+        make('b.JPG', _box(0, 0, 9, 4)),
+    ]
+    matching = match_references(boxes, references)
+    assert [each.image for each in matching.images] == ['b', 'a']
+    assert matching.images[0].reference.tolist() == [[0, 0, 9, 4]]
+    assert matching.images[1].reference.tolist() == [[1, 0, 10, 4], [20, 0, 30, 5]]
+    assert matching.matched == 3
+    assert matching.unmatched_boxes == matching.unmatched_references == ()
+
+
+def test_what_finds_no_partner_is_returned(make: Make) -> None:
+    boxes = [make('a', _box(0, 0, 10, 4), _box(50, 50, 60, 60)), make('lone', _box(0, 0, 1, 1))]
+    references = [make('a', _box(0, 0, 10, 4), _box(90, 90, 99, 99)), make('c', _box(1, 1, 2, 2))]
+    matching = match_references(boxes, references)
+    assert matching.matched == 1
+    assert np.isnan(matching.images[0].reference).tolist() == [[False] * 4, [True] * 4]
+    assert matching.unmatched_boxes == (('a', 1), ('lone', 0))
+    assert [(name, box.tolist()) for name, box in matching.unmatched_references] == [
+        ('a', [90, 90, 99, 99]), ('c', [1, 1, 2, 2]),
+    ]  # fmt: skip
+
+
+def test_the_best_pair_is_matched_first(make: Make) -> None:
+    boxes = [make('a', _box(0, 0, 10, 10), _box(2, 0, 12, 10))]
+    matching = match_references(boxes, [make('a', _box(2, 0, 12, 10))])
+    assert np.isnan(matching.images[0].reference[:, 0]).tolist() == [True, False]
+
+
+def test_at_equal_overlap_the_earlier_goes_first(make: Make) -> None:
+    boxes = [make('a', _box(0, 0, 10, 10), _box(0, 0, 10, 10))]
+    references = [make('a', _box(0, 0, 10, 9), _box(0, 1, 10, 10))]
+    matching = match_references(boxes, references)
+    assert matching.images[0].reference.tolist() == [[0, 0, 10, 9], [0, 1, 10, 10]]
+
+
+@pytest.mark.parametrize(('min_iou', 'matched'), [(0.5, 1), (0.51, 0)])
+def test_pairs_below_the_least_iou_are_none(make: Make, min_iou: float, matched: int) -> None:
+    boxes, references = [make('a', _box(0, 0, 10, 4))], [make('a', _box(0, 0, 5, 4))]
+    assert match_references(boxes, references, min_iou).matched == matched
+
+
+def test_a_tilted_box_is_compared_by_its_bounds(make: Make) -> None:
+    tilted = Box((0, 5, 5, 0, 10, 5, 5, 10), 'ship')
+    matching = match_references([make('a', tilted)], [make('a', _box(0, 0, 10, 10))], 1.0)
+    assert matching.matched == 1
+
+
+def test_a_source_may_name_an_image_more_than_once(make: Make) -> None:
+    boxes = [make('a', _box(0, 0, 10, 4)), make('a', _box(0, 0, 10, 4))]
+    matching = match_references(boxes, [make('a', _box(0, 0, 10, 4))])
+    assert matching.matched == 1
+    assert matching.unmatched_boxes == (('a', 0),)
+
+
+def test_references_that_are_not_there_match_nothing(make: Make) -> None:
+    bare = Box(upright_corners((0, 0, 10, 4)), 'ship')
+    matching = match_references([make('a', _box(0, 0, 10, 4))], [make('a', bare)])
+    assert (matching.matched, matching.unmatched_references) == (0, ())
+    broken = Box((np.nan,) * 8, 'ship')
+    assert match_references([make('a', broken)], [make('a', _box(0, 0, 1, 1))]).matched == 0
+    assert match_references([], []).images == ()
+
+
+def test_images_of_one_bare_name_are_refused(make: Make) -> None:
+    with pytest.raises(ValueError, match=r"'train/a\.png' and 'val/a\.png' cannot be told apart"):
+        match_references([], [make('train/a.png'), make('val/a.png')])
+
+
+@pytest.mark.parametrize('min_iou', [0.0, -1.0, 1.5, float('nan')])
+def test_the_least_iou_is_above_0_and_at_most_1(min_iou: float) -> None:
+    with pytest.raises(ValueError, match='min_iou'):
+        match_references([], [], min_iou)
+
+
+POSITION = st.integers(0, 40)
+SIDE = st.integers(1, 20)
+
+
+@st.composite
+def _boxes(draw: st.DrawFn, distinct: bool = False) -> np.ndarray:
+    rows = draw(
+        st.lists(st.tuples(POSITION, POSITION, SIDE, SIDE), max_size=12, unique=distinct)
+    )
+    array = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    array[:, 2:] += array[:, :2]
+    return array
+
+
+@given(_boxes(), _boxes(), st.floats(0.05, 1.0))
+def test_every_box_and_reference_is_used_once(
+    boxes: np.ndarray, references: np.ndarray, min_iou: float
+) -> None:
+    own, other = match_boxes(boxes, references, min_iou)
+    assert len(set(own.tolist())) == len(own) == len(other) == len(set(other.tolist()))
+
+
+@given(_boxes(distinct=True), st.randoms())
+def test_identical_boxes_find_each_other_in_any_order(boxes: np.ndarray, random: object) -> None:
+    order = list(range(len(boxes)))
+    random.shuffle(order)
+    own, other = match_boxes(boxes, boxes[order], 1.0)
+    assert len(own) == len(boxes)
+    np.testing.assert_array_equal(boxes[own], boxes[order][other])
+
+
+@given(_boxes(), _boxes())
+def test_no_pair_that_is_left_overlaps_enough(boxes: np.ndarray, references: np.ndarray) -> None:
+    own, other = match_boxes(boxes, references, 0.3)
+    left = np.delete(boxes, own, axis=0), np.delete(references, other, axis=0)
+    assert len(match_boxes(*left, 0.3)[0]) == 0

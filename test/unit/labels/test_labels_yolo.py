@@ -1,0 +1,68 @@
+"""Ultralytics YOLO boxes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from obbhbb_ros.labels import LabelError
+from obbhbb_ros.labels import read_labels
+
+if TYPE_CHECKING:
+    from conftest import Put
+
+SIZE = (640, 480)
+
+
+def test_a_label_file_as_the_documentation_shows_it(put: Put) -> None:
+    put('classes.txt', 'head\nship\n')
+    path = put('a.txt', '1 0.5 0.25 0.25 0.5\n0 0.1 0.1 0.2 0.2\n')
+    (labels,) = read_labels(path, image_size=SIZE)
+    assert labels.class_ids == ('ship', 'head')
+    assert labels.ids == ('', '')
+    assert labels.scores.tolist() == [1.0, 1.0]
+    np.testing.assert_allclose(labels.reference[0], [240, 0, 400, 240])
+    np.testing.assert_allclose(labels.corners[0], [[240, 0], [400, 0], [400, 240], [240, 240]])
+
+
+@pytest.mark.parametrize(
+    ('end', 'score', 'track'), [('', 1.0, ''), (' 0.75', 0.75, ''), (' 0.75 17', 0.75, '17')]
+)
+def test_predictions_end_in_confidence_and_track(
+    put: Put, end: str, score: float, track: str
+) -> None:
+    (labels,) = read_labels(put('a.txt', f'0 0.5 0.5 0.2 0.2{end}\n'), image_size=SIZE)
+    assert labels.scores.tolist() == [score]
+    assert labels.ids == (track,)
+
+
+def test_the_size_may_come_from_the_image(put: Put) -> None:
+    image = pytest.importorskip('PIL.Image')
+    picture = put('images/a.png', b'')
+    image.new('L', (100, 50)).save(picture)
+    (labels,) = read_labels(put('labels/a.txt', '0 0.5 0.5 0.2 0.2\n'))
+    assert labels.size == (100, 50)
+    np.testing.assert_allclose(labels.reference, [[40, 20, 60, 30]])
+
+
+@pytest.mark.parametrize(
+    ('line', 'message'),
+    [
+        ('0 0.5 0.5 0.2', '4 fields, expected 5 to 7'),
+        ('0 0.5 0.5 0.2 0.2 0.9 1 1', '8 fields'),
+        ('ship 0.5 0.5 0.2 0.2', "class index 'ship'"),
+        ('0 320 240 20 20', 'not normalised'),
+        ('0 0.5 0.5 -0.2 0.2', 'negative size'),
+        ('0 0.5 nan 0.2 0.2', 'not a finite number'),
+        ('0 0.5 0.5 0.2 0.2 1.5', 'confidence 1.5'),
+    ],
+)
+def test_a_malformed_line_is_reported_with_its_number(put: Put, line: str, message: str) -> None:
+    errors: list[LabelError] = []
+    path = put('a.txt', f'0 0.5 0.5 0.2 0.2\n{line}\n0 0.5 0.5 0.2 0.2\n')
+    (labels,) = read_labels(path, 'yolo', image_size=SIZE, on_error=errors.append)
+    assert len(labels.class_ids) == 2
+    assert [(error.path, error.line) for error in errors] == [(path, 2)]
+    assert message in errors[0].message

@@ -1,0 +1,203 @@
+"""evaluate(): known figures of real ships, bands, intervals, what is written and refused."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from fleets import REAL
+from fleets import fleet
+from hypothesis import given
+from hypothesis import strategies as st
+
+from obbhbb_ros.converter import HullRule
+from obbhbb_ros.converter import convert_by_rule
+from obbhbb_ros.methods import METHODS
+from obbhbb_ros.study.evaluation import ALL
+from obbhbb_ros.study.evaluation import Settings
+from obbhbb_ros.study.evaluation import bootstrap_interval
+from obbhbb_ros.study.evaluation import choose_rules
+from obbhbb_ros.study.evaluation import convert_by_class
+from obbhbb_ros.study.evaluation import evaluate
+from obbhbb_ros.study.evaluation import score_tables
+from obbhbb_ros.study.evaluation import strata
+from obbhbb_ros.study.evaluation import write_csv
+from obbhbb_ros.study.evaluation import write_json
+from obbhbb_ros.study.ships import read_ships
+
+FAST = Settings(bootstrap=0)
+
+
+@pytest.fixture(scope='module')
+def real():
+    return read_ships([REAL])
+
+
+@pytest.fixture(scope='module')
+def scores(real):
+    return evaluate(real, settings=Settings(bootstrap=50))
+
+
+@pytest.mark.parametrize(
+    ('method', 'mean_iou'),
+    [
+        ('superellipse', 0.92001), ('shape_aware', 0.82121), ('outer', 0.80998),
+        ('midpoint', 0.80704), ('gaussian', 0.89033), ('gaussian_published', 0.38644),
+        ('area_equivalent_published', 0.25658),
+    ],
+)
+def test_mean_iou_with_drawn_boxes_of_real_ships(scores, method, mean_iou) -> None:
+    (score,) = [
+        s for s in scores if (s.protocol, s.stratum, s.method) == ('hbb', ALL, method)
+    ]
+    assert score.iou == pytest.approx(mean_iou, abs=5e-5)
+    assert score.iou_low < score.iou < score.iou_high
+
+
+def test_methods_have_the_papers_parameters_or_ours_unless_told() -> None:
+    rules = choose_rules()
+    assert list(rules) == list(METHODS)
+    assert rules['shape_aware'] == HullRule('shape_aware', 2.2, 0.9, 1.0)
+    assert rules['superellipse'] == HullRule('superellipse', 3.0, 1.0, 1.0)
+    told = choose_rules(['shape_aware', 'outer'], q=2.0, s=1.1)
+    assert told['shape_aware'] == HullRule('shape_aware', 2.0, 0.9, 1.1)
+    assert told['outer'] == HullRule('outer')
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'message'),
+    [
+        ({'methods': ['outter']}, "no method 'outter'; there are superellipse"),
+        ({'q': 0.5}, r'q must be in \[1, inf\]'),
+    ],
+)
+def test_rules_that_do_not_exist_are_refused(arguments, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        choose_rules(**arguments)
+
+
+def test_bands_of_tilt_split_all_ships_and_so_do_bands_of_aspect(real) -> None:
+    found = strata(real)
+    for prefix in ('tilt ', 'L/W '):
+        members = [
+            rows for name, rows in found.items() if name.startswith(prefix) and '> 10' not in name
+        ]
+        assert (np.sum(members, axis=0) == 1).all()
+
+
+@pytest.mark.parametrize(
+    ('degrees', 'band'),
+    [(0, '0-15'), (14.9, '0-15'), (15.1, '15-30'), (30.1, '30-45'), (45, '30-45'), (75.1, '0-15')],
+)
+def test_a_ship_is_in_the_band_of_its_tilt(degrees, band) -> None:
+    found = strata(fleet([[0, 0, 9, 2, np.radians(degrees)]]))
+    assert f'tilt {band}°' in found
+    assert sum('-' in name for name in found if name.startswith('tilt')) == 1
+
+
+def test_tilted_ships_have_a_stratum_of_their_own() -> None:
+    rows = [[0, 0, 9, 2, np.radians(degrees)] for degrees in (0, 9, 11, 44, 85)]
+    assert strata(fleet(rows))['tilt > 10°'].tolist() == [False, False, True, True, False]
+
+
+def test_classes_are_strata_where_there_are_several() -> None:
+    rows = [[0, 0, 9, 2, 0.2]] * 3
+    assert 'class ship' not in strata(fleet(rows))
+    found = strata(fleet(rows, classes=['tug', 'ship', 'tug']))
+    assert found['class tug'].tolist() == [True, False, True]
+
+
+def test_ships_without_reference_are_left_out_of_the_protocol_that_needs_one() -> None:
+    reference = [[0.0, 0, 9, 9], [np.nan] * 4]
+    ships = fleet([[4, 4, 9, 3, 0.4], [30, 4, 9, 3, 0.1]], reference)
+    counts = {s.protocol: s.ships for s in evaluate(ships, settings=FAST) if s.stratum == ALL}
+    assert counts == {'obb': 2, 'hbb': 1}
+
+
+@pytest.mark.parametrize(
+    ('protocol', 'message'),
+    [('hbb', 'no ship has a reference box'), ('iou', 'protocol must be one of obb, hbb')],
+)
+def test_a_protocol_that_cannot_be_scored_is_an_error(protocol, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        evaluate(fleet([[4, 4, 9, 3, 0.4]]), protocols=[protocol])
+
+
+def test_threshold_and_kept_part_count_ships() -> None:
+    reference = [[0.0, 0.0, 10.0, 4.0], [0.0, 0.0, 10.0, 8.0]]
+    ships = fleet([[5, 2, 10, 4, 0], [5, 4, 10, 4, 0]], reference)
+    rules = choose_rules(['outer'])
+
+    def overall(settings):
+        return evaluate(ships, rules, ['hbb'], settings)[0]
+
+    score = overall(Settings(threshold=0.6, keep=0.4, bootstrap=0))
+    assert (score.match, score.kept, score.coverage) == (0.5, 1.0, 0.75)
+    assert overall(Settings(threshold=0.5, keep=0.6, bootstrap=0)).match == 1.0
+    assert score.area == 1.0
+    assert np.isnan(score.iou_low)
+
+
+@pytest.mark.parametrize('values', [{'threshold': 0}, {'keep': 1.1}, {'bootstrap': -1}])
+def test_settings_out_of_range_are_refused(values) -> None:
+    with pytest.raises(ValueError, match=next(iter(values))):
+        Settings(**values)
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.integers(0, 5)), min_size=1, max_size=30))
+def test_an_interval_lies_within_the_values_and_depends_on_the_seed_alone(pairs) -> None:
+    values, images = (np.array(column) for column in zip(*pairs, strict=True))
+    low, high = bootstrap_interval(values, images, samples=30, seed=3)
+    assert values.min() - 1e-12 <= low <= high <= values.max() + 1e-12
+    assert bootstrap_interval(values, images, samples=30, seed=3) == (low, high)
+
+
+def test_images_are_drawn_as_a_whole() -> None:
+    # Ten ships each of two images: by ship the mean would hardly move, by image it is 0, .5 or 1.
+    values = np.repeat([0.0, 1.0], 10)
+    assert bootstrap_interval(values, values.astype(int), samples=200) == (0.0, 1.0)
+    low, high = bootstrap_interval(values, np.arange(20), samples=200)
+    assert 0.2 < low < 0.5 < high < 0.8
+
+
+def test_each_class_is_converted_under_its_own_rule() -> None:
+    ships = fleet([[4, 4, 9, 3, 0.4]] * 2, classes=['tug', 'ship'])
+    tug, other = HullRule('superellipse', 5.0), HullRule('outer')
+    xyxy = convert_by_class(ships, other, {'tug': tug})
+    np.testing.assert_array_equal(xyxy[:1], convert_by_rule(ships.boxes, tug)[:1])
+    np.testing.assert_array_equal(xyxy[1:], convert_by_rule(ships.boxes, other)[1:])
+
+
+def test_every_table_names_its_protocol(scores) -> None:
+    tables = score_tables(scores).split('\n\n')
+    assert [('protocol obb' in t, 'protocol hbb' in t) for t in tables] == [
+        (True, False), (True, False), (False, True), (False, True),
+    ]
+
+
+def test_json_is_strict_and_complete(scores, tmp_path) -> None:
+    write_json(tmp_path / 'scores.json', scores, Settings(bootstrap=50))
+
+    def refuse(name):
+        raise AssertionError(name)
+
+    text = (tmp_path / 'scores.json').read_text(encoding='utf-8')
+    document = json.loads(text, parse_constant=refuse)
+    assert len(document['scores']) == len(scores)
+    assert document['scores'][0]['iou'] == scores[0].iou
+    assert set(document['protocols']) == {'obb', 'hbb'}
+
+
+def test_values_that_json_does_not_have_are_still_written(real, tmp_path) -> None:
+    rules = {'superellipse': HullRule('superellipse', np.inf)}
+    write_json(tmp_path / 'scores.json', evaluate(real, rules, ['hbb'], FAST), FAST)
+    (first, *_) = json.loads((tmp_path / 'scores.json').read_text(encoding='utf-8'))['scores']
+    assert (first['q'], first['iou_low']) == ('inf', None)
+
+
+def test_csv_reads_back_as_the_scores(scores, tmp_path) -> None:
+    write_csv(tmp_path / 'scores.csv', scores)
+    with (tmp_path / 'scores.csv').open(encoding='utf-8', newline='') as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row['iou']) for row in rows] == [score.iou for score in scores]
+    assert [row['stratum'] for row in rows] == [score.stratum for score in scores]

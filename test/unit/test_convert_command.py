@@ -1,0 +1,246 @@
+"""The command `obbhbb convert`."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from obbhbb_ros import OrientedBoxes
+from obbhbb_ros import convert
+from obbhbb_ros.cli import main
+from obbhbb_ros.converter import HullRule
+from obbhbb_ros.labels import read_labels
+from obbhbb_ros.labels.records import Box
+from obbhbb_ros.labels.records import assemble
+from obbhbb_ros.study.convert import convert_image
+from obbhbb_ros.study.convert import convert_labels
+
+TARGETS = [
+    ('yolo', 'out'), ('coco', 'out.json'), ('voc', 'out'), ('geojson', 'out.geojson'),
+    ('csv', 'out.csv'), ('shapefile', 'out.shp'),
+]  # fmt: skip
+SHIP = '10 20 50 40 46 48 6 28 ship 0\n'
+EMPTY = '10 20 10 20 10 20 10 20 ship 0\n'
+OTHER = '100 100 100 160 88 160 88 100 tug 0\n'
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    folder = tmp_path / 'labelTxt'
+    folder.mkdir()
+    (folder / 'P1.txt').write_text(SHIP + OTHER)
+    (folder / 'P2.txt').write_text(OTHER)
+    return folder
+
+
+def _expected(source: Path, **parameters: float) -> list[np.ndarray]:
+    return [
+        convert(OrientedBoxes.from_corners(labels.corners), **parameters)
+        for labels in read_labels(source)
+    ]
+
+
+def _run(*arguments: object) -> int:
+    return main(['convert', *map(str, arguments)])
+
+
+@pytest.mark.parametrize(('format_name', 'target'), TARGETS)
+def test_every_format_comes_out_with_the_boxes_of_the_converter(
+    source: Path, tmp_path: Path, format_name: str, target: str, capsys: pytest.CaptureFixture
+) -> None:
+    if format_name == 'shapefile':
+        pytest.importorskip('geopandas')
+    path = tmp_path / target
+    assert _run(source, path, '--to', format_name, '--image-size', 640, 480) == 0
+    read = list(read_labels(path, format_name, image_size=(640, 480)))
+    for labels, xyxy in zip(read, _expected(source), strict=True):
+        np.testing.assert_allclose(labels.reference, xyxy, rtol=0, atol=1e-9)
+    assert [each.class_ids for each in read] == [('ship', 'tug'), ('tug',)]
+    assert capsys.readouterr().out == (
+        '2 images, 3 boxes converted, 0 left out, 0 malformed records skipped\n'
+    )
+
+
+@pytest.mark.parametrize(
+    ('name', 'text', 'size'),
+    [
+        ('a.txt', '0 0.1 0.2 0.5 0.2 0.5 0.3 0.1 0.3\n', (640, 480)),
+        ('a.txt', '0 0.3 0.25 0.4 0.1\n', (640, 480)),
+        ('a.csv', 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\na,0,s,1,2,9,2,9,4,1,4\n', None),
+        ('a.csv', 'image,wkt\na,"POLYGON ((1 2, 9 2, 9 4, 1 4, 1 2))"\n', None),
+        (
+            'a.xml',
+            '<annotation><object><name>s</name><bndbox><xmin>1</xmin><ymin>2</ymin>'
+            '<xmax>9</xmax><ymax>4</ymax></bndbox></object></annotation>',
+            None,
+        ),
+        (
+            'a.xml',
+            '<HRSC_Image><HRSC_Objects><HRSC_Object><mbox_cx>5</mbox_cx><mbox_cy>3</mbox_cy>'
+            '<mbox_w>8</mbox_w><mbox_h>2</mbox_h><mbox_ang>0</mbox_ang></HRSC_Object>'
+            '</HRSC_Objects></HRSC_Image>',
+            None,
+        ),
+        (
+            'a.json',
+            '{"images": [{"id": 1, "file_name": "a"}], "annotations": [{"id": 1, "image_id": 1, '
+            '"category_id": 1, "bbox": [1, 2, 8, 2]}]}',
+            None,
+        ),
+        (
+            'a.json',
+            '{"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", '
+            '"coordinates": [[[1, 2], [9, 2], [9, 4], [1, 4], [1, 2]]]}}',
+            None,
+        ),
+    ],
+    ids=['yolo_obb', 'yolo', 'csv', 'wkt', 'voc', 'hrsc', 'coco', 'geojson'],
+)
+def test_every_format_goes_in(
+    tmp_path: Path, name: str, text: str, size: tuple[int, int] | None
+) -> None:
+    (tmp_path / name).write_text(text)
+    size_options = [] if size is None else ['--image-size', *size]
+    assert _run(tmp_path / name, tmp_path / 'out.csv', *size_options) == 0
+    (labels,) = read_labels(tmp_path / 'out.csv')
+    assert (labels.image, len(labels.class_ids)) == ('a', 1)
+    expected = [[64, 96, 320, 144]] if size else [[1, 2, 9, 4]]
+    np.testing.assert_allclose(labels.reference, expected, atol=1e-9)
+
+
+def test_every_parameter_of_the_conversion_counts(source: Path, tmp_path: Path) -> None:
+    path = tmp_path / 'out.csv'
+    parameters = {
+        'method': 'shape_aware', 'q': 2.2, 'f': 0.9, 's': 1.1, 'max_length': 40, 'max_width': 11,
+    }  # fmt: skip
+    options = [
+        text
+        for name, value in parameters.items()
+        for text in (f'--{name.replace("_", "-")}', value)
+    ]
+    assert _run(source, path, *options) == 0
+    for labels, xyxy in zip(read_labels(path), _expected(source, **parameters), strict=True):
+        np.testing.assert_array_equal(labels.reference, xyxy)
+
+
+def test_diagnostics_are_columns(source: Path, tmp_path: Path) -> None:
+    path = tmp_path / 'out.csv'
+    assert _run(source, path, '--diagnostics', '--max-length', 50) == 0
+    with path.open(newline='') as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row['capped'] for row in rows] == ['0', '1', '1']
+    assert [float(row['length']) for row in rows[1:]] == [60.0, 60.0]
+    assert [float(row['width']) for row in rows[1:]] == [12.0, 12.0]
+    assert abs(float(rows[1]['theta'])) == pytest.approx(np.pi / 2)
+    assert all(0.0 <= float(row[name]) <= 1.0 for row in rows for name in ('t_x', 't_y'))
+
+
+def test_bad_records_and_boxes_are_reported_counted_and_left_out(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    (source / 'P1.txt').write_text(f'{SHIP}1 2 3\n{EMPTY}{OTHER}')
+    path = tmp_path / 'out.csv'
+    assert _run(source, path) == 0
+    printed = capsys.readouterr()
+    assert printed.out == (
+        '2 images, 3 boxes converted, 1 left out (1 empty), 1 malformed records skipped\n'
+    )
+    malformed, left_out = printed.err.splitlines()
+    assert malformed.startswith(f'{source / "P1.txt"}:2: 3 fields')
+    assert left_out == f"{source / 'P1.txt'}: image 'P1': box 2 left out: empty"
+    assert _run(source, path, '--strict') == 1
+    assert [len(each.class_ids) for each in read_labels(path)] == [2, 1]
+
+
+def test_where_nothing_can_be_read_nothing_is_written(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    for path in source.iterdir():
+        path.write_text('1 2 3\n')
+    assert _run(source, tmp_path / 'out.csv', '--from', 'dota') == 1
+    assert not (tmp_path / 'out.csv').exists()
+    printed = capsys.readouterr()
+    assert '0 boxes converted, 0 left out, 2 malformed' in printed.out
+    assert 'nothing to convert' in printed.err
+
+
+def test_images_without_ships_are_no_error(source: Path, tmp_path: Path) -> None:
+    for path in source.iterdir():
+        path.write_text('')
+    assert _run(source, tmp_path / 'out.csv', '--strict') == 0
+    assert [each.image for each in read_labels(tmp_path / 'out.csv')] == ['P1', 'P2']
+
+
+@pytest.mark.parametrize(
+    ('options', 'message'),
+    [
+        (['--to', 'dota'], "'dota' is not for boxes"),
+        (['--to', 'yolo', '--diagnostics'], 'no place for diagnostics'),
+        (['--to', 'yolo'], "image 'P1': YOLO needs its size"),
+        (['--from', 'labelme', '--to', 'csv'], "unknown label format 'labelme'"),
+        ([], 'name the label format to write'),
+        (['--to', 'csv', '--q', '0.5'], 'q must be in [1, inf]'),
+        (['--to', 'csv', '--method', 'magic'], 'magic'),
+        (['--to', 'csv', '--max-length', '-1'], 'max_length must be positive'),
+        (['--to', 'csv', '--image-size', '0', '5'], 'image_size'),
+    ],
+)
+def test_a_wrong_option_is_one_line_and_no_file(
+    source: Path, tmp_path: Path, options: list[str], message: str, capsys: pytest.CaptureFixture
+) -> None:
+    assert _run(source, tmp_path / 'out', *options) == 1
+    printed = capsys.readouterr().err
+    assert printed.startswith('obbhbb: ')
+    assert message in printed
+    assert printed.count('\n') == 1
+    assert not (tmp_path / 'out').exists()
+
+
+def test_yolo_takes_the_size_from_the_images(source: Path, tmp_path: Path) -> None:
+    image = pytest.importorskip('PIL.Image')
+    for name in ('P1', 'P2'):
+        image.new('L', (200, 200)).save(source / f'{name}.png')
+    assert _run(source, tmp_path / 'out', '--to', 'yolo') == 0
+    (labels,) = read_labels(tmp_path / 'out' / 'P2.txt', image_size=(200, 200))
+    np.testing.assert_allclose(labels.reference, _expected(source)[1])
+
+
+def test_labels_may_be_converted_in_place(tmp_path: Path) -> None:
+    path = tmp_path / 'all.csv'
+    path.write_text('image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\na,0,s,1,2,9,2,9,4,1,4\n')
+    assert _run(path, path) == 0
+    (labels,) = read_labels(path)
+    np.testing.assert_allclose(labels.reference, [[1, 2, 9, 4]])
+
+
+def test_the_command_runs_as_a_program_and_is_quiet_in_a_pipe(
+    source: Path, tmp_path: Path
+) -> None:
+    command = [sys.executable, '-m', 'obbhbb_ros.cli', 'convert', source, tmp_path / 'out.json']
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stderr == ''
+    assert done.stdout.startswith('2 images, 3 boxes converted')
+
+
+def test_a_box_that_overflows_is_left_out_for_that() -> None:
+    huge = Box((-1e308, 0, 1e308, 0, 1e308, 1e308, -1e308, 1e308), 'ship')
+    labels = assemble('P1', [huge, Box((0, 0, 4, 0, 4, 2, 0, 2), 'ship', 'b')], None, Path('x'))
+    converted, reasons = convert_image(labels, HullRule(s=2.0), diagnostics=True)
+    assert converted.ids == ('b',)
+    assert converted.diagnostics is not None
+    assert converted.diagnostics.length.tolist() == [4.0]
+    assert list(reasons) == [0]
+
+
+def test_defects_are_counted_by_reason() -> None:
+    nan, empty = Box((np.nan,) * 8, 'ship'), Box((1.0,) * 8, 'ship')
+    labels = assemble('P1', [nan, empty, empty], None, Path('x'))
+    lines: list[str] = []
+    _, tally = convert_labels([labels], HullRule(), report=lines.append)
+    assert tally.left_out == {'not finite': 1, 'empty': 2}
+    assert len(lines) == 3
