@@ -267,7 +267,7 @@ TYPES = {
 def test_the_parameters_are_those_of_the_contract() -> None:
     assert {spec.name for spec in TABLE} == CONTRACT
     names = {spec.name for spec in CLASS_TABLE}
-    assert names == {f'classes.<id>.{name}' for name in ('method', 'q', 'f', 's')}
+    assert names == {f'classes.<id>.{name}' for name in ('method', 'q', 'f', 's', 'weight')}
 
 
 @pytest.mark.parametrize('spec', TABLE, ids=lambda spec: spec.name)
