@@ -283,6 +283,7 @@ def test_what_never_meets_comes_twice_or_has_no_stamp_is_counted_and_nothing_sta
     changed: dict[str, float] = {}
 
     def all_told() -> bool:
+        changed.clear()
         changed.update(node.counts().since(before))
         return changed.get('crop_plans_dropped.expired') == 5
 
