@@ -16,7 +16,9 @@ from harness import Converter
 from harness import NodeProcess
 from harness import Peer
 from harness import Site
+from PIL import Image as Picture
 from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import Image
 from ships import FloatArray
 from ships import axis_aligned
 from ships import rows_of
@@ -241,6 +243,24 @@ def test_it_waits_for_somebody_to_listen(play: Play, put: Put) -> None:
     late = player.peer.collect(Detection2DArray, 'detections')
     player.peer.spin_until(lambda: len(late) == 2, 'both images')
     assert len(player.messages) == 2
+
+
+@pytest.mark.parametrize('images', [True, False])
+def test_images_beside_the_labels_are_published_with_their_stamp(
+    play: Play, put: Put, images: bool
+) -> None:
+    labels = put('labels.csv', CSV)
+    pixels = np.random.default_rng(5).integers(0, 256, (30, 40, 3)).astype(np.uint8)
+    Picture.fromarray(pixels).save(labels.parent / 'P2.png')
+    player = play(path=labels, images=images)
+    got = player.peer.collect(Image, 'image')
+    assert player.finish() == 0
+    assert len(player.messages) == 2
+    assert len(got) == len(player.infos) == int(images)
+    for image in got:
+        assert image.header == player.messages[1].header == player.infos[0].header
+        assert (image.encoding, image.width, image.height) == ('rgb8', 40, 30)
+        assert image.data.tobytes() == pixels.tobytes()
 
 
 # What cannot be played ------------------------------------------------------------------------
