@@ -112,6 +112,10 @@ def test_every_topic_lies_in_the_namespace_but_diagnostics(start: Start) -> None
     node.connect()
     arguments = ('obb_to_hbb', node.namespace)
     graph = node.peer.node
+    # Topics and nodes are discovered apart from each other.
+    node.wait(
+        lambda: arguments in graph.get_node_names_and_namespaces(), 'the node in the graph'
+    )
     published = dict(graph.get_publisher_names_and_types_by_node(*arguments))
     subscribed = dict(graph.get_subscriber_names_and_types_by_node(*arguments))
     inside = {f'{node.namespace}/{topic}' for topic in ('boxes', 'crop_regions')}
