@@ -104,7 +104,9 @@ IMAGE: Struct = {
 _BOX = 'detections.bbox.center.position.x'
 _CLASS = 'detections.results.hypothesis.class_id'
 _SCORE = 'detections.results.hypothesis.score'
-_BOX_NUMBERS = 5
+# The numbers of a box in the order that `OrientedBoxes.from_xywhr` takes them.
+_XYWHR = np.array([0, 1, 3, 4, 2])
+_XYWH = _XYWHR[:4]
 _HYPOTHESIS_NUMBERS = 44
 # Of the lengths in a detection, that of its hypotheses comes behind that of its frame_id.
 _RESULTS = 1
@@ -560,8 +562,7 @@ class Detections:
         ndarray, shape (N, 5)
             Centre x and y, size x and y, theta, as `OrientedBoxes.from_xywhr` takes them.
         """
-        rows = self._numbers[self._boxes_at[:, None] + np.arange(_BOX_NUMBERS)]
-        return rows[:, [0, 1, 3, 4, 2]]
+        return self._numbers[self._boxes_at[:, None] + _XYWHR]
 
     def best_hypotheses(self) -> tuple[IntArray, FloatArray]:
         """
@@ -698,14 +699,14 @@ class Detections:
             for _, hypotheses, _ in parts:
                 for class_id, numbers in hypotheses:
                     pieces += ((4, class_id), (8, numbers))
-            pieces.append((8, bytes(8 * _BOX_NUMBERS)))
+            pieces.append((8, bytes(8 * _XYWHR.size)))
             pieces.append((4, _text(ID_SEPARATOR.encode().join(each for *_, each in parts))))
             for size, piece in pieces:
                 at = _aligned(end, size)
                 chunks += (_PADDING[: at - end], piece)
                 end = at + len(piece)
             # The last piece follows the box without padding.
-            boxes_at.append(at - 8 * _BOX_NUMBERS)
+            boxes_at.append(at - 8 * _XYWHR.size)
         return _ending(chunks, end, boxes_at, xywh)
 
     def _beginning(self, raw: bytes, count: int) -> tuple[list[bytes], int]:
@@ -783,7 +784,7 @@ def _ending(chunks: list[bytes], end: int, boxes_at: list[int], xywh: FloatArray
 def _write_boxes(body: NDArray[np.uint8], boxes_at: IntArray, xywh: FloatArray) -> None:
     """Write axis-aligned boxes at the numbers of `body` that `boxes_at` counts to."""
     numbers = body.view('<f8')
-    numbers[boxes_at[:, None] + np.array([0, 1, 3, 4])] = xywh
+    numbers[boxes_at[:, None] + _XYWH] = xywh
     numbers[boxes_at + 2] = 0.0
 
 

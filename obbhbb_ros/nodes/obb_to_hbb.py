@@ -152,7 +152,6 @@ class ObbToHbb(ManagedNode[Settings]):
         if settings.rule_of_class:
             rule_of = messages.rules_of(frame.class_ids(), settings.rule_of_class)
         extents = half_extents(boxes, settings.rules, rule_of, settings.caps)
-        self._count(frame, boxes, extents, settings)
         if wants_crops:
             weights = None if rule_of is None else settings.weights[rule_of]
             self._publish_crops(frame, boxes, extents, weights, settings)
@@ -160,6 +159,8 @@ class ObbToHbb(ManagedNode[Settings]):
             self._boxes_publisher.publish(
                 frame.boxes_message(boxes.center, extents, settings.keep_invalid)
             )
+        # Last: whoever waits for the boxes does not wait for this.
+        self._count(frame, boxes, extents, settings)
 
     def _publish_crops(
         self,
