@@ -19,8 +19,6 @@ from pathlib import Path
 import numpy as np
 
 from obbhbb_ros.labels.converted import ConvertedImage
-from obbhbb_ros.labels.files import CLASSES_FILE
-from obbhbb_ros.labels.files import target_files
 from obbhbb_ros.labels.format import Format
 from obbhbb_ros.labels.format import ImageSize
 from obbhbb_ros.labels.records import Box
@@ -30,14 +28,11 @@ from obbhbb_ros.labels.records import OnError
 from obbhbb_ros.labels.shapes import bounds_of_xywh
 from obbhbb_ros.labels.shapes import upright_corners
 from obbhbb_ros.labels.text import is_normalised
-from obbhbb_ros.labels.text import join_numbers
 from obbhbb_ros.labels.text import parse_numbers
-from obbhbb_ros.labels.text import write_lines
-from obbhbb_ros.labels.yolo_text import numbered_names
 from obbhbb_ros.labels.yolo_text import parse_class
 from obbhbb_ros.labels.yolo_text import parse_score
 from obbhbb_ros.labels.yolo_text import read_image
-from obbhbb_ros.labels.yolo_text import unit_scores
+from obbhbb_ros.labels.yolo_text import write_images
 
 FIELDS = 'class x_center y_center width height [confidence [track]]'
 COUNTS = (5, 6, 7)
@@ -101,24 +96,7 @@ def write_boxes(path: Path, images: list[ConvertedImage]) -> None:
     LabelError
         If a ``classes.txt`` is there and cannot be read.
     """
-    targets = target_files(path, images, '.txt')
-    folder = path if not targets else targets[0][0].parent
-    names = numbered_names(folder, [name for each in images for name in each.class_ids])
-    files = [(file, _lines(converted, names)) for file, converted in targets]
-    if names:
-        write_lines(folder / CLASSES_FILE, names)
-    for file, lines in files:
-        write_lines(file, lines)
-
-
-def _lines(converted: ConvertedImage, names: Sequence[str]) -> list[str]:
-    numbers = {name: str(index) for index, name in enumerate(names)}
-    rows = _normalised(converted).tolist()
-    if np.any(converted.scores != 1.0):
-        scores = unit_scores(converted.image, converted.scores)
-        rows = [[*row, score] for row, score in zip(rows, scores, strict=True)]
-    pairs = zip(converted.class_ids, rows, strict=True)
-    return [f'{numbers.get(name, name)} {join_numbers(row)}' for name, row in pairs]
+    write_images(path, images, _normalised)
 
 
 def _normalised(converted: ConvertedImage) -> FloatArray:

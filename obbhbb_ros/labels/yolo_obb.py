@@ -18,8 +18,6 @@ from pathlib import Path
 
 import numpy as np
 
-from obbhbb_ros.labels.files import CLASSES_FILE
-from obbhbb_ros.labels.files import target_files
 from obbhbb_ros.labels.format import Format
 from obbhbb_ros.labels.format import ImageSize
 from obbhbb_ros.labels.records import Box
@@ -27,14 +25,11 @@ from obbhbb_ros.labels.records import FloatArray
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import OnError
 from obbhbb_ros.labels.text import is_normalised
-from obbhbb_ros.labels.text import join_numbers
 from obbhbb_ros.labels.text import parse_numbers
-from obbhbb_ros.labels.text import write_lines
-from obbhbb_ros.labels.yolo_text import numbered_names
 from obbhbb_ros.labels.yolo_text import parse_class
 from obbhbb_ros.labels.yolo_text import parse_score
 from obbhbb_ros.labels.yolo_text import read_image
-from obbhbb_ros.labels.yolo_text import unit_scores
+from obbhbb_ros.labels.yolo_text import write_images
 
 FIELDS = 'class x1 y1 x2 y2 x3 y3 x4 y4 [confidence [track]]'
 COUNTS = (9, 10, 11)
@@ -96,25 +91,7 @@ def write(path: Path, images: list[ImageLabels]) -> None:
     LabelError
         If a ``classes.txt`` is there and cannot be read.
     """
-    targets = target_files(path, images, '.txt')
-    folder = path if not targets else targets[0][0].parent
-    used = [name for labels in images for name in labels.class_ids]
-    names = numbered_names(folder, used)
-    files = [(file, _lines(labels, names)) for file, labels in targets]
-    if names:
-        write_lines(folder / CLASSES_FILE, names)
-    for file, lines in files:
-        write_lines(file, lines)
-
-
-def _lines(labels: ImageLabels, names: Sequence[str]) -> list[str]:
-    numbers = {name: str(index) for index, name in enumerate(names)}
-    rows = _normalised(labels).tolist()
-    if np.any(labels.scores != 1.0):
-        scores = unit_scores(labels.image, labels.scores)
-        rows = [[*row, score] for row, score in zip(rows, scores, strict=True)]
-    pairs = zip(labels.class_ids, rows, strict=True)
-    return [f'{numbers.get(name, name)} {join_numbers(row)}' for name, row in pairs]
+    write_images(path, images, _normalised)
 
 
 def _normalised(labels: ImageLabels) -> FloatArray:

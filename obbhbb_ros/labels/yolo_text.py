@@ -8,10 +8,13 @@ from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
+from obbhbb_ros.labels.converted import ConvertedImage
 from obbhbb_ros.labels.files import CLASSES_FILE
+from obbhbb_ros.labels.files import target_files
 from obbhbb_ros.labels.format import ImageSize
 from obbhbb_ros.labels.image_size import stored_size
 from obbhbb_ros.labels.records import Box
@@ -22,11 +25,14 @@ from obbhbb_ros.labels.records import OnError
 from obbhbb_ros.labels.records import assemble
 from obbhbb_ros.labels.records import raise_error
 from obbhbb_ros.labels.text import is_index
+from obbhbb_ros.labels.text import join_numbers
 from obbhbb_ros.labels.text import parse_numbers
 from obbhbb_ros.labels.text import read_boxes
 from obbhbb_ros.labels.text import text_lines
+from obbhbb_ros.labels.text import write_lines
 
 Parse = Callable[[str, Sequence[str]], Box]
+_ImageT = TypeVar('_ImageT', ImageLabels, ConvertedImage)
 
 
 def read_image(
@@ -157,3 +163,47 @@ def unit_scores(image: str, scores: FloatArray) -> list[float]:
     if min(values) < 0.0 or max(values) > 1.0:
         raise ValueError(f'image {image!r}: scores are not within 0..1')
     return values
+
+def write_images(
+    path: Path, images: list[_ImageT], normalised: Callable[[_ImageT], FloatArray]
+) -> None:
+    """
+    Write one file an image, after everything was found to be writable.
+
+    Parameters
+    ----------
+    path : Path
+        File, or folder of files.
+    images : list of ImageLabels or of ConvertedImage
+        What to write.
+    normalised : callable
+        Gives an image's boxes as fractions of it, a row a box.
+
+    Raises
+    ------
+    ValueError
+        If scores lie outside 0..1, a class cannot stand in a line, or images and files do not fit.
+    LabelError
+        If a ``classes.txt`` is there and cannot be read.
+    """
+    targets = target_files(path, images, '.txt')
+    folder = path if not targets else targets[0][0].parent
+    names = numbered_names(folder, [name for each in images for name in each.class_ids])
+    files = [(file, _lines(image, names, normalised(image))) for file, image in targets]
+    if names:
+        write_lines(folder / CLASSES_FILE, names)
+    for file, lines in files:
+        write_lines(file, lines)
+
+
+def _lines(
+    image: ImageLabels | ConvertedImage, names: Sequence[str], boxes: FloatArray
+) -> list[str]:
+    """Write a line a box: class number, fractions, and the score where any is given."""
+    numbers = {name: str(index) for index, name in enumerate(names)}
+    rows = boxes.tolist()
+    if np.any(image.scores != 1.0):
+        scores = unit_scores(image.image, image.scores)
+        rows = [[*row, score] for row, score in zip(rows, scores, strict=True)]
+    pairs = zip(image.class_ids, rows, strict=True)
+    return [f'{numbers.get(name, name)} {join_numbers(row)}' for name, row in pairs]
