@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from abc import ABC
+from abc import abstractmethod
 from collections.abc import Callable
 from collections.abc import Mapping
 from collections.abc import Sequence
@@ -38,7 +40,7 @@ AUTOSTART = ParameterSpec(
 )
 
 
-class ManagedNode(LifecycleNode, Generic[SettingsT]):
+class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
     """
     Base of the managed nodes.
 
@@ -91,9 +93,9 @@ class ManagedNode(LifecycleNode, Generic[SettingsT]):
             self._service_change_state.callback
         )
 
+    @abstractmethod
     def _create_topics(self) -> None:
         """Create publishers by `_output` and subscriptions by `_input`."""
-        raise NotImplementedError
 
     def _forget(self) -> None:
         """Drop what was gathered from the topics, which are gone."""
