@@ -166,7 +166,9 @@ def convert(
     >>> convert(boxes)
     array([[20., 30., 80., 50.]])
     """
-    return convert_by_rule(boxes, HullRule(method, q, f, s), Caps(max_length, max_width))
+    uncapped = max_length is None and max_width is None
+    caps = NO_CAPS if uncapped else Caps(max_length, max_width)
+    return convert_by_rule(boxes, HullRule(method, q, f, s), caps)
 
 
 def convert_by_rule(boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS) -> FloatArray:
@@ -187,12 +189,10 @@ def convert_by_rule(boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS) 
     ndarray of float64, shape (N, 4)
         As `convert`.
     """
-    xyxy = np.empty((len(boxes), 4))
+    if boxes.tame:
+        return _all_xyxy(boxes, rule, caps)
     with np.errstate(invalid='ignore', over='ignore'):
-        for rows in blocks(len(boxes)):
-            extents = _block_extents(boxes, rule, caps, rows)
-            _lay_around(boxes.center[:, rows], extents, xyxy[rows])
-    return xyxy
+        return _without_overflown(_all_xyxy(boxes, rule, caps))
 
 
 def half_extents(
@@ -220,16 +220,10 @@ def half_extents(
     ndarray of float64, shape (2, N)
         Half-extents, pixels; NaN columns where the box cannot be converted.
     """
-    extents = np.empty((2, len(boxes)))
+    if boxes.tame:
+        return _all_extents(boxes, rules, rule_of, caps)
     with np.errstate(invalid='ignore', over='ignore'):
-        if rule_of is None:
-            for rows in blocks(len(boxes)):
-                extents[:, rows] = _block_extents(boxes, rules[0], caps, rows)
-        else:
-            for index, rule in enumerate(rules):
-                mine = np.flatnonzero(rule_of == index)
-                if mine.size:
-                    extents[:, mine] = _block_extents(boxes.take(mine), rule, caps, slice(None))
+        extents = _all_extents(boxes, rules, rule_of, caps)
         # The whole size, which messages state, is the first to overflow.
         farthest = np.abs(boxes.center) + 2.0 * extents
         if not isfinite(np.add.reduce(farthest, axis=None)):
@@ -295,7 +289,35 @@ def to_xyxy(center: FloatArray, extents: FloatArray) -> FloatArray:
     xyxy = np.empty((center.shape[1], 4))
     with np.errstate(invalid='ignore', over='ignore'):
         _lay_around(center, extents, xyxy)
+        return _without_overflown(xyxy)
+
+
+def _all_xyxy(boxes: OrientedBoxes, rule: HullRule, caps: Caps) -> FloatArray:
+    """Convert all boxes, (N, 4)."""
+    xyxy = np.empty((len(boxes), 4))
+    for rows in blocks(len(boxes)):
+        extents = _block_extents(boxes, rule, caps, rows)
+        _lay_around(boxes.center[:, rows], extents, xyxy[rows])
     return xyxy
+
+
+def _all_extents(
+    boxes: OrientedBoxes,
+    rules: Sequence[HullRule],
+    rule_of: NDArray[np.intp] | None,
+    caps: Caps,
+) -> FloatArray:
+    """Compute the half-extents of all boxes, (2, N)."""
+    extents = np.empty((2, len(boxes)))
+    if rule_of is None:
+        for rows in blocks(len(boxes)):
+            extents[:, rows] = _block_extents(boxes, rules[0], caps, rows)
+        return extents
+    for index, rule in enumerate(rules):
+        mine = np.flatnonzero(rule_of == index)
+        if mine.size:
+            extents[:, mine] = _block_extents(boxes.take(mine), rule, caps, slice(None))
+    return extents
 
 
 def _block_extents(
@@ -334,8 +356,13 @@ def _capped(extents: FloatArray, caps: Caps) -> FloatArray:
 
 
 def _lay_around(center: FloatArray, extents: FloatArray, xyxy: FloatArray) -> None:
-    """Write the boxes to `xyxy`; rows that overflowed become NaN."""
+    """Write the boxes of half-extents around centres to `xyxy`, (n, 4)."""
     np.subtract(center, extents, out=xyxy[:, :2].T)
     np.add(center, extents, out=xyxy[:, 2:].T)
+
+
+def _without_overflown(xyxy: FloatArray) -> FloatArray:
+    """Make the rows that are not finite NaN."""
     if not isfinite(np.add.reduce(xyxy, axis=None)):
         xyxy[~np.isfinite(xyxy).all(axis=1)] = np.nan
+    return xyxy

@@ -32,6 +32,8 @@ Rule: TypeAlias = Callable[[FloatArray, FloatArray, float], FloatArray]
 
 # Keeps 0 / 0 from happening where a hull has no extent at all.
 _TINY = float(np.finfo(np.float64).tiny)
+# From here on the rule is that of the rectangle to the last digit, and products might overflow.
+_AS_GOOD_AS_INFINITE = 1e100
 
 
 def superellipse(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
@@ -57,7 +59,7 @@ def superellipse(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
         return np.maximum(along, across)
     if q == 2.0:
         return gaussian(along, across)
-    p = q / (q - 1.0) if np.isfinite(q) else 1.0
+    p = q / (q - 1.0) if q < np.inf else 1.0
     if p == 1.0:
         return along + across
     # The larger term is factored out, so that no power overflows whatever p is.
@@ -92,11 +94,11 @@ def shape_aware(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
     """
     if q == 1.0:
         return np.maximum(along, across)
-    if not np.isfinite(q):
+    if not q < _AS_GOOD_AS_INFINITE:
         return along + across
     t = shape_aware_contact(along, across, q)
     # At the optimum q*b*t^(q-1) = a, hence b*t^q = a*t/q. A bow that touches (t = 1) is b*0.
-    return np.where(t < 1.0, across + along * t * (1.0 - 1.0 / q), along)
+    return np.where(along < q * across, across + along * t * (1.0 - 1.0 / q), along)
 
 
 def outer(along: FloatArray, across: FloatArray, q: float = np.inf) -> FloatArray:
@@ -154,7 +156,7 @@ def shape_aware_contact(along: FloatArray, across: FloatArray, q: float) -> Floa
     """
     if q == 1.0:
         return np.where(along >= across, 1.0, 0.0)
-    if not np.isfinite(q):
+    if not q < _AS_GOOD_AS_INFINITE:
         return np.where(along > 0.0, 1.0, 0.0)
     clipped = np.minimum(along, q * across)
     ratio = clipped / np.maximum(q * across, _TINY)

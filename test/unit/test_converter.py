@@ -150,7 +150,9 @@ def test_the_published_curve_lies_inside_the_superellipse_by_at_most_15_percent(
 
 
 @pytest.mark.parametrize('method', TUNABLE)
-@pytest.mark.parametrize(('near', 'limit'), [(1 + 1e-7, 1.0), (1e9, np.inf)])
+@pytest.mark.parametrize(
+    ('near', 'limit'), [(1 + 1e-7, 1.0), (1e9, np.inf), (1e20, np.inf), (1e300, np.inf)]
+)
 @given(rows=xywhr())
 def test_the_limits_of_q_are_reached(method, near, limit, rows) -> None:
     np.testing.assert_allclose(
@@ -264,6 +266,31 @@ def test_invalid_rows_come_back_as_nan_and_the_others_as_boxes() -> None:
     xyxy = convert(boxes)
     np.testing.assert_array_equal(np.isnan(xyxy).all(axis=1), ~boxes.valid)
     np.testing.assert_allclose(xyxy[0], [-2, -1, 2, 1])
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('method', METHODS)
+@pytest.mark.parametrize(
+    'row',
+    [[np.nan, 0, 4, 2, 0], [0, 0, 4, 2, np.inf], [0, 0, -4, 2, 0], [0, 0, 1e300, 1e300, 1],
+     [0, 0, 1e-200, 1e-200, 1]],
+)
+@given(rows=xywhr(), q=st.one_of(Q, st.floats(1.0, 1e308)))
+def test_a_box_out_of_the_ordinary_does_not_change_the_others(method, row, rows, q) -> None:
+    alone, beside = OrientedBoxes.from_xywhr(rows), OrientedBoxes.from_xywhr([*rows, row])
+    assert alone.tame
+    assert not beside.tame
+    expected = convert(alone, method, q)
+    np.testing.assert_allclose(convert(beside, method, q)[:-1], expected, rtol=1e-13, atol=1e-9)
+    rules = [HullRule(method, q)]
+    among = half_extents(beside, rules)[:, :-1]
+    np.testing.assert_allclose(among, half_extents(alone, rules), rtol=1e-13)
+    # And so for corners.
+    alone = OrientedBoxes.from_corners(alone.corners)
+    beside = OrientedBoxes.from_corners(beside.corners)
+    assert not beside.tame
+    expected = convert(alone, method, q)
+    np.testing.assert_allclose(convert(beside, method, q)[:-1], expected, rtol=1e-13, atol=1e-9)
 
 
 @pytest.mark.parametrize('method', METHODS)
