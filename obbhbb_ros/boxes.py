@@ -216,13 +216,14 @@ class OrientedBoxes:
 
     def _write_columns(self, columns: FloatArray, rows: slice) -> None:
         """Write the boxes of some x, y, width, height and theta, (5, n), to some rows."""
-        half_width, half_height = columns[2:4] * 0.5
-        cos, sin = np.cos(columns[4]), np.sin(columns[4])
         self.center[:, rows] = columns[:2]
-        np.multiply(cos, half_width, out=self.first[0, rows])
-        np.multiply(sin, half_width, out=self.first[1, rows])
-        np.multiply(sin, -half_height, out=self.second[0, rows])
-        np.multiply(cos, half_height, out=self.second[1, rows])
+        half_width, half_height = columns[2:4] * 0.5
+        direction = np.empty((2, columns.shape[1]))
+        np.cos(columns[4], out=direction[0])
+        np.sin(columns[4], out=direction[1])
+        np.multiply(direction, half_width, out=self.first[:, rows])
+        second = np.multiply(direction[::-1], half_height, out=self.second[:, rows])
+        np.negative(second[0], out=second[0])
 
     def _areas(self, rows: slice) -> FloatArray:
         """Compute a quarter of the area of some boxes."""

@@ -279,17 +279,18 @@ def to_xyxy(center: FloatArray, extents: FloatArray) -> FloatArray:
     center : ndarray, shape (2, N)
         Centres, pixels.
     extents : ndarray, shape (2, N)
-        Half-extents, pixels.
+        Half-extents as `half_extents` gives them, pixels.
 
     Returns
     -------
     ndarray of float64, shape (N, 4)
-        x_min, y_min, x_max, y_max; NaN rows where one of them is not finite.
+        x_min, y_min, x_max, y_max; NaN rows where the extents are NaN. In memory, each coordinate
+        of all boxes comes after another.
     """
-    xyxy = np.empty((center.shape[1], 4))
-    with np.errstate(invalid='ignore', over='ignore'):
-        _lay_around(center, extents, xyxy)
-        return _without_overflown(xyxy)
+    corners = np.empty((4, center.shape[1]))
+    np.subtract(center, extents, out=corners[:2])
+    np.add(center, extents, out=corners[2:])
+    return corners.T
 
 
 def _all_xyxy(boxes: OrientedBoxes, rule: HullRule, caps: Caps) -> FloatArray:

@@ -139,7 +139,7 @@ class CropPlan:
     @property
     def pixels(self) -> int:
         """Pixels of all regions together."""
-        return int(_pixels(self.regions).sum())
+        return int(_pixels(self.regions.T).sum())
 
     def groups(self) -> list[list[int]]:
         """List for each region the rows of the boxes that it was made from."""
@@ -180,67 +180,72 @@ def plan_crops(
     CropPlan
         The regions by falling value.
     """
-    usable = np.isfinite(xyxy).all(axis=1)
-    rows = np.flatnonzero(usable)
-    regions, inside = _regions(xyxy[rows], image_size, settings)
-    left_out = {
-        LeftOut.INVALID: len(xyxy) - len(rows),
-        LeftOut.OUTSIDE: len(rows) - int(np.count_nonzero(inside)),
-    }
-    rows, regions = rows[inside], regions[inside]
-    values = scores[rows] if weights is None else scores[rows] * weights[rows]
-    values = np.where(np.isnan(values), -np.inf, values)
-    order = _by_value(values, regions, xyxy[rows])
-    rows, regions = rows[order], regions[order]
+    # All that follows runs along contiguous memory: one coordinate of all boxes after another.
+    boxes = np.ascontiguousarray(xyxy.T)
+    rows = np.arange(len(xyxy))
+    # NaN passes through the maximum, and compares as false.
+    if not np.maximum.reduce(np.abs(boxes), axis=None, initial=0.0) < _FARTHEST:
+        rows = np.flatnonzero(np.isfinite(boxes).all(axis=0))
+        # So far out no pixel is left to tell apart, and no difference below overflows.
+        boxes = np.clip(boxes[:, rows], -_FARTHEST, _FARTHEST)
+    left_out = {LeftOut.INVALID: len(xyxy) - len(rows)}
+    corners, inside = _regions(boxes, image_size, settings)
+    if not inside.all():
+        left_out[LeftOut.OUTSIDE] = len(rows) - int(np.count_nonzero(inside))
+        rows, boxes, corners = rows[inside], boxes[:, inside], corners[:, inside]
+    # NaN is less than any number.
+    values = np.fmax(scores[rows] if weights is None else scores[rows] * weights[rows], -np.inf)
+    order = _by_value(values, corners, boxes)
+    rows, corners = rows[order], corners[:, order]
     offsets = np.arange(len(rows) + 1)
     if settings.merge_max_size and len(rows) > 1:
-        regions, rows, offsets = _merged(regions, values[order], rows, image_size, settings)
-    if _over_limits(regions, settings):
-        kept, over = _within_limits(regions, settings)
+        corners, rows, offsets = _merged(corners, values[order], rows, image_size, settings)
+    if _over_limits(corners, settings):
+        kept, over = _within_limits(corners, settings)
         sizes = np.diff(offsets)
         left_out |= {reason: int(sizes[indices].sum()) for reason, indices in over.items()}
-        rows = rows[np.repeat(np.isin(np.arange(len(regions)), kept), sizes)]
-        regions, offsets = regions[kept], np.concatenate(([0], np.cumsum(sizes[kept])))
+        rows = rows[np.repeat(np.isin(np.arange(corners.shape[1]), kept), sizes)]
+        corners, offsets = corners[:, kept], np.concatenate(([0], np.cumsum(sizes[kept])))
     left_out = {reason: count for reason, count in left_out.items() if count}
-    return CropPlan(regions, rows, offsets, left_out)
+    return CropPlan(corners.T, rows, offsets, left_out)
 
 
 def _by_value(
-    values: FloatArray, regions: NDArray[np.int64], xyxy: FloatArray | None = None
+    values: FloatArray, corners: NDArray[np.int64], boxes: FloatArray | None = None
 ) -> NDArray[np.intp]:
-    """Sort by falling value, then by place; `xyxy` tells apart what rounding made equal."""
+    """Sort by falling value, then by place; `boxes` tell apart what rounding made equal."""
     order = np.argsort(-values, kind='stable')
     ranked = values[order]
     if not (ranked[1:] == ranked[:-1]).any():
         return order
-    finer = () if xyxy is None else tuple(xyxy.T[::-1])
-    return np.lexsort((*finer, *regions.T[::-1], -values))
+    finer = () if boxes is None else tuple(boxes[::-1])
+    return np.lexsort((*finer, *corners[::-1], -values))
 
 
 def _merged(
-    regions: NDArray[np.int64],
+    corners: NDArray[np.int64],
     values: FloatArray,
     rows: NDArray[np.intp],
     image_size: tuple[int, int],
     settings: CropSettings,
 ) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.intp]]:
     """Merge regions given by falling value; give regions, sources and offsets of a plan."""
-    bounds = np.array(image_size, dtype=np.float64)
+    bounds = np.array(image_size, dtype=np.float64)[:, None]
 
     def fit(low: Pixels, high: Pixels) -> tuple[Pixels, Pixels]:
-        corners = _fit_sizes(low.T.astype(float), high.T.astype(float), bounds, settings)
-        return corners[0].T.astype(low.dtype), corners[1].T.astype(low.dtype)
+        fitted = _fit_sizes(low.astype(float), high.astype(float), bounds, settings)
+        return fitted[0].astype(low.dtype), fitted[1].astype(low.dtype)
 
     limit = min(settings.merge_max_size, settings._largest)
     rules = MergeRules(limit, settings.multiple_of, image_size, fit)
-    united, group_of = merge_regions(regions, rules)
-    if len(united) == len(regions):
-        return regions, rows, np.arange(len(rows) + 1)
-    order = _by_value(_sums(values, group_of, len(united)), united)
+    united, group_of = merge_regions(corners, rules)
+    if united.shape == corners.shape:
+        return corners, rows, np.arange(len(rows) + 1)
+    order = _by_value(_sums(values, group_of, united.shape[1]), united)
     rank = np.argsort(order)[group_of]
     members = np.argsort(rank, kind='stable')
     offsets = np.concatenate(([0], np.cumsum(np.bincount(rank))))
-    return united[order], rows[members], offsets
+    return united[:, order], rows[members], offsets
 
 
 def _sums(values: FloatArray, group_of: NDArray[np.intp], groups: int) -> FloatArray:
@@ -251,21 +256,21 @@ def _sums(values: FloatArray, group_of: NDArray[np.intp], groups: int) -> FloatA
     return np.where(counts > 0, sums, -np.inf)
 
 
-def _over_limits(regions: NDArray[np.int64], settings: CropSettings) -> bool:
+def _over_limits(corners: NDArray[np.int64], settings: CropSettings) -> bool:
     """Tell whether the regions together are more than a frame may have."""
-    if 0 < settings.max_count < len(regions):
+    if 0 < settings.max_count < corners.shape[1]:
         return True
-    return bool(settings.max_pixels and _pixels(regions).sum() > settings.max_pixels)
+    return bool(settings.max_pixels and _pixels(corners).sum() > settings.max_pixels)
 
 
 def _within_limits(
-    regions: NDArray[np.int64], settings: CropSettings
+    corners: NDArray[np.int64], settings: CropSettings
 ) -> tuple[NDArray[np.intp], dict[LeftOut, list[int]]]:
     """Fill the limits of a frame in the order given; also tell what is over which limit."""
     kept: list[int] = []
     over: dict[LeftOut, list[int]] = {LeftOut.MAX_COUNT: [], LeftOut.MAX_PIXELS: []}
     count, left = settings.max_count or np.inf, settings.max_pixels or np.inf
-    for index, size in enumerate(_pixels(regions).tolist()):
+    for index, size in enumerate(_pixels(corners).tolist()):
         if len(kept) == count:
             over[LeftOut.MAX_COUNT].append(index)
         elif size > left:
@@ -276,37 +281,46 @@ def _within_limits(
     return np.array(kept, np.intp), over
 
 
-def _pixels(regions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Count the pixels of each region."""
-    return (regions[:, 2] - regions[:, 0]) * (regions[:, 3] - regions[:, 1])
+def _pixels(corners: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Count the pixels of each region, (4, N) to (N,)."""
+    width, height = corners[2:] - corners[:2]
+    return width * height
 
 
 def _regions(
-    xyxy: FloatArray, image_size: tuple[int, int], settings: CropSettings
+    boxes: FloatArray, image_size: tuple[int, int], settings: CropSettings
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Pad, clip, round outwards and fit to size; also tell which boxes meet the image at all."""
-    bounds = np.array(image_size, dtype=np.float64)
-    # So far out no pixel is left to tell apart, and no difference below overflows.
-    xyxy = np.clip(xyxy, -_FARTHEST, _FARTHEST)
-    margin = settings.padding * (xyxy[:, 2:] - xyxy[:, :2]) + settings.padding_px
+    """Pad, clip, round outwards and fit to size, (4, N); also tell which boxes meet the image."""
+    bounds = np.array(image_size, dtype=np.float64)[:, None]
+    low, high = boxes[:2], boxes[2:]
     # A box is worth a region for its own pixels, not for its padding.
-    inside: NDArray[np.bool_] = np.all((xyxy[:, 2:] > 0.0) & (xyxy[:, :2] < bounds), axis=1)
-    low = np.floor(np.clip(xyxy[:, :2] - margin, 0.0, bounds))
-    high = np.ceil(np.clip(xyxy[:, 2:] + margin, 0.0, bounds))
-    low, high = _fit_sizes(low, high, bounds, settings)
-    return np.hstack((low, high)).astype(np.int64), inside
+    inside: NDArray[np.bool_] = np.logical_and.reduce((high > 0.0) & (low < bounds))
+    if settings.padding or settings.padding_px:
+        margin = settings.padding * (high - low) + settings.padding_px
+        low, high = low - margin, high + margin
+    low = np.floor(np.minimum(np.maximum(low, 0.0), bounds))
+    high = np.ceil(np.minimum(np.maximum(high, 0.0), bounds))
+    return np.concatenate(_fit_sizes(low, high, bounds, settings)).astype(np.int64), inside
 
 
 def _fit_sizes(
     low: FloatArray, high: FloatArray, bounds: FloatArray, settings: CropSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """Bring each side about its centre to a size that the settings allow, inside the image."""
-    size = np.maximum(high - low, max(settings.min_size, 1))
+    """
+    Bring each side about its centre to a size that the settings allow, inside the image.
+
+    All are (2, N), and whole numbers within 0 and `bounds`.
+    """
+    given = high - low
+    size = np.maximum(given, max(settings.min_size, 1))
     if settings.multiple_of > 1:
         size = np.ceil(size / settings.multiple_of) * settings.multiple_of
     if settings.max_size:
         size = np.minimum(size, settings._largest)
     size = np.minimum(size, bounds)
-    fitted = np.where(size == high - low, low, np.floor((low + high - size) / 2.0))
-    fitted = np.clip(fitted, 0.0, bounds - size)
+    as_given = size == given
+    if as_given.all():
+        return low, high
+    fitted = np.where(as_given, low, np.floor((low + high - size) / 2.0))
+    fitted = np.minimum(np.maximum(fitted, 0.0), bounds - size)
     return fitted, fitted + size

@@ -56,31 +56,31 @@ class MergeRules:
 
 
 def merge_regions(
-    regions: NDArray[np.int64], rules: MergeRules
+    corners: NDArray[np.int64], rules: MergeRules
 ) -> tuple[NDArray[np.int64], IntArray]:
     """
     Merge regions where that saves pixels.
 
     Parameters
     ----------
-    regions : ndarray of int, shape (N, 4)
-        x0, y0, x1, y1, of sizes that `rules.fit` gives.
+    corners : ndarray of int, shape (4, N)
+        x0, y0, x1, y1 of regions of sizes that `rules.fit` gives.
     rules : MergeRules
         What a merged region may be.
 
     Returns
     -------
-    merged : ndarray of int64, shape (M, 4)
+    merged : ndarray of int64, shape (4, M)
         The regions that are left, in no particular order.
     group_of : ndarray of int, shape (N,)
         For each of the N, which of the M holds it. As a grouping of equal regions, neither
         depends on the order of the input.
     """
-    order = _in_order(regions.T)
-    group_of = np.empty(len(regions), np.intp)
-    group_of[order] = np.arange(len(regions))
+    order = _in_order(corners)
+    group_of = np.empty(len(order), np.intp)
+    group_of[order] = np.arange(len(order))
     counted = np.int32 if rules.bounds[0] * rules.bounds[1] < _SMALL_IMAGE else np.int64
-    live = _Live(regions[order].T.astype(counted))
+    live = _Live(corners[:, order].astype(counted))
     reach, all_seen = _REACH, True
     while True:
         all_seen &= _find_partners(live, rules, reach)
@@ -89,7 +89,7 @@ def merge_regions(
             live, place = _unite(live, root, rules)
             group_of = place[group_of]
         elif all_seen:
-            return live.corners.T.astype(np.int64), group_of
+            return live.corners.astype(np.int64), group_of
         else:
             reach, all_seen = len(root), True
             live.stale[:] = True

@@ -10,12 +10,14 @@ and the rules of CDR (XCDR1): a number of n bytes lies at a multiple of n from t
 4-byte encapsulation header, a string or a sequence starts with its length in four bytes.
 
 Detections whose strings and sequences have the same lengths have their fields at the same
-places. Each such form is walked once and remembered as a `_Template`; the next detection of the
+places. Each such form is walked once and remembered as a `_Form`; the next detection of the
 same form costs a few look-ups, and a run of them is verified at once with NumPy.
 """
 
 from __future__ import annotations
 
+import struct
+import sys
 from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,8 +33,10 @@ IntArray: TypeAlias = NDArray[np.int64]
 
 ENCAPSULATION = 4
 _PLAIN_CDR = {b'\x00\x00\x00\x00': '>', b'\x00\x01\x00\x00': '<'}
-_LITTLE_ENDIAN = np.array([0, 1, 0, 0], np.uint8)
+_LITTLE_ENDIAN = b'\x00\x01\x00\x00'
 _PADDING = bytes(8)
+# In a buffer four bytes lie before the encapsulation header, so that its body is aligned.
+_BODY = 2 * ENCAPSULATION
 
 
 class WireError(ValueError):
@@ -104,9 +108,9 @@ IMAGE: Struct = {
 _BOX = 'detections.bbox.center.position.x'
 _CLASS = 'detections.results.hypothesis.class_id'
 _SCORE = 'detections.results.hypothesis.score'
-# The numbers of a box in the order that `OrientedBoxes.from_xywhr` takes them.
-_XYWHR = np.array([0, 1, 3, 4, 2])
-_XYWH = _XYWHR[:4]
+# The numbers of a box in the order that `OrientedBoxes.from_xywhr` takes them, (5, 1).
+_XYWHR = np.array([[0], [1], [3], [4], [2]])
+_STAMP = struct.Struct('<iI')
 _HYPOTHESIS_NUMBERS = 44
 # Of the lengths in a detection, that of its hypotheses comes behind that of its frame_id.
 _RESULTS = 1
@@ -245,8 +249,8 @@ class _Walk:
         return end
 
 
-class _Template:
-    """One form of detection: where its fields lie, in bytes from its start."""
+class _Form:
+    """One form of detection: where its fields lie, in bytes from its start, and how big it is."""
 
     def __init__(self, trace: _Trace, start: int) -> None:
         self.lengths = [(at - start, length) for at, length in trace.lengths]
@@ -266,7 +270,7 @@ class _Moved:
     """A detection laid out four bytes off: what to copy with what padding, where the box is."""
 
     pieces: list[tuple[bytes, int, int]]
-    size: int
+    stride: int
     box: int
 
 
@@ -281,8 +285,21 @@ def _moved(trace: _Trace, start: int) -> _Moved:
         padding, copied = bytes(-(phase + size) % 8), at
         if at <= trace.found[_BOX][0]:
             box = size + len(padding) + trace.found[_BOX][0] - at
-    pieces.append((padding, copied - start, trace.end - start))
-    return _Moved(pieces, size + len(padding) + trace.end - copied, box)
+    # Only before numbers of eight bytes does the padding differ: up to the next start it does not.
+    behind = _aligned(trace.end, 4)
+    pieces.append((padding, copied - start, behind - start))
+    return _Moved(pieces, size + len(padding) + behind - copied, box)
+
+
+class _HeaderForm:
+    """One form of message header: where the number of detections lies, what is padding."""
+
+    def __init__(self, trace: _Trace) -> None:
+        self.end = trace.end
+        self.count_at = _aligned(trace.end, 4)
+        self.padding = [*trace.padding, *range(trace.end, self.count_at)]
+        self.swaps = _numbers_by_size(trace, 0)
+        self.swaps[4] = np.append(self.swaps[4], self.count_at)
 
 
 def _numbers_by_size(trace: _Trace, start: int) -> dict[int, IntArray]:
@@ -300,22 +317,34 @@ def _aligned(position: int, size: int) -> int:
 
 _HEADER_STEPS = _flatten(HEADER)
 _ELEMENT = next(step for step in _flatten(DETECTION_2D_ARRAY) if isinstance(step.kind, Many))
+_LEAST_DETECTION = sum(step.min_size for step in _ELEMENT.inner)
 _MIN_RUN = 16
 _MOST_PADDING = 64
+_BYTE_ORDER = '<' if sys.byteorder == 'little' else '>'
 
 
 _Node: TypeAlias = list[Any]
-"""Where the next length lies, in words from the start; a node or a form by its value."""
+"""Where the next length lies, in words from the start; a node or a form by its value; which."""
 
 
 def _node() -> _Node:
     """Make a node that leads nowhere yet."""
-    return [0, {}]
+    return [0, {}, False]
+
+
+def _plant(node: _Node, lengths: Sequence[tuple[int, int]], form: Any) -> None:
+    """Make a tree lead to a form by its lengths."""
+    *before, (last, value) = lengths
+    for at, length in before:
+        node[0], node[2] = at // 4, True
+        node = node[1].setdefault(length, _node())
+    node[0] = last // 4
+    node[1][value] = form
 
 
 class Forms:
     """
-    Memory of the forms of detection seen so far; share one among the messages of a topic.
+    Memory of the forms of detection and header seen so far; share one among a topic's messages.
 
     It holds at most `capacity` forms from one message to the next.
 
@@ -331,67 +360,80 @@ class Forms:
 
     def _forget(self) -> None:
         """Know no form."""
-        self.templates: list[_Template] = []
+        self.headers: _Node = _node()
         # Behind another multiple of eight the same lengths make another form: two trees.
         self.known: tuple[_Node, _Node] = (_node(), _node())
-        self._tables: tuple[IntArray, ...] = ()
-        self._padding = np.empty((0, 0), np.int64)
+        self.all: list[_Form] = []
+        self.strides: list[int] = []
+        self._places: _Places | None = None
 
     def make_room(self) -> None:
         """Forget everything if that has become too much."""
-        if len(self.templates) > self._capacity:
+        if len(self.all) + len(self.headers[1]) > self._capacity:
             self._forget()
 
-    def learn(self, template: _Template, start: int) -> int:
-        """Remember a form, found at `start`; give its number."""
-        form = len(self.templates)
-        self.templates.append(template)
-        node = self.known[start // 4 % 2]
-        *before, (last, value) = template.lengths
-        for at, length in before:
-            node[0] = at // 4
-            node = node[1].setdefault(length, _node())
-        node[0] = last // 4
-        node[1][value] = form
+    def learn_header(self, trace: _Trace) -> _HeaderForm:
+        """Remember the form of a header."""
+        form = _HeaderForm(trace)
+        _plant(self.headers, trace.lengths, form)
         return form
 
-    def tables(self) -> tuple[IntArray, ...]:
-        """
-        Give by form what most detections need.
+    def learn(self, trace: _Trace, start: int) -> int:
+        """Remember the form of a detection found at `start`; give its number."""
+        form = _Form(trace, start)
+        _plant(self.known[start // 4 % 2], form.lengths, len(self.all))
+        self.all.append(form)
+        self.strides.append(form.stride // 4)
+        return len(self.all) - 1
 
-        Returns
-        -------
-        boxes, scores, classes : ndarray of int, shape (F,)
-            Where box, score and class id lie, in bytes from the start of the detection; the last
-            two are 0 for forms that do not have just one hypothesis.
-        """
-        if not self._tables or len(self._tables[0]) != len(self.templates):
-            rows = [
-                (t.box, t.scores[0], t.classes[0]) if t.scores.size == 1 else (t.box, 0, 0)
-                for t in self.templates
-            ]
-            self._tables = tuple(np.array(rows, np.int64).reshape(-1, 3).T)
-        return self._tables
+    def places(self) -> _Places:
+        """Give by form where most detections have what is needed most."""
+        if self._places is None or len(self._places.box) != len(self.all):
+            self._places = _Places(self.all)
+        return self._places
 
-    def padding(self) -> IntArray | None:
-        """
-        Give the bytes between fields by form, in bytes from the start of the detection.
 
-        Returns
-        -------
-        ndarray of int, shape (F, P), or None
-            Some repeated, to fill the rows, and -1 for a form without any; None where a form has
-            so many that a table of them would take more memory than the message justifies.
-        """
-        if len(self._padding) != len(self.templates):
-            most = max(1, *(t.padding.size for t in self.templates))
-            if most > _MOST_PADDING:
-                return None
-            self._padding = np.array([
-                np.resize(t.padding, most) if t.padding.size else np.full(most, -1)
-                for t in self.templates
-            ]).reshape(-1, most)
-        return self._padding
+class _Places:
+    """
+    Tables by form, in words from the start of a detection.
+
+    Attributes
+    ----------
+    box : ndarray of int, shape (F,)
+        Where the box lies.
+    score, class_id : ndarray of int, shape (F,)
+        Where score and class id lie, for forms with just one hypothesis; else 0.
+    all_single : bool
+        Whether all forms have just one.
+    padding : ndarray of int, shape (F, P), or None
+        The bytes between fields, in bytes from the start of the detection. Some repeated, to
+        fill the rows, and -1 for a form without any; None where a form has so many that a table
+        of them would take more memory than the message justifies.
+    some_unpadded : bool
+        Whether there is a form without any.
+    """
+
+    def __init__(self, forms: Sequence[_Form]) -> None:
+        rows = [
+            (form.box, form.scores[0], form.classes[0]) if form.scores.size == 1
+            else (form.box, 0, 0)
+            for form in forms
+        ]
+        self.box, self.score, self.class_id = np.array(rows, np.int64).reshape(-1, 3).T // 4
+        self.all_single = bool(self.score.all())
+        self.padding = _padding_table(forms)
+        self.some_unpadded = not all(form.padding.size for form in forms)
+
+
+def _padding_table(forms: Sequence[_Form]) -> IntArray | None:
+    """Write the bytes between fields by form, see `_Places`."""
+    most = max(1, *(form.padding.size for form in forms), 1)
+    if most > _MOST_PADDING:
+        return None
+    return np.array([
+        np.resize(form.padding, most) if form.padding.size else np.full(most, -1)
+        for form in forms
+    ], np.int64).reshape(-1, most)
 
 
 class _Finder:
@@ -400,12 +442,23 @@ class _Finder:
 
     Parameters
     ----------
-    words : ndarray of uint32
+    words : memoryview of uint32
         The message behind its encapsulation header.
     limit : int
         How many bytes that are.
     forms : Forms
         The forms known so far.
+
+    Attributes
+    ----------
+    header : _HeaderForm
+        Form of the message's header.
+    starts : ndarray of int, shape (N,)
+        Where each detection starts, in words.
+    forms : ndarray of int, shape (N,)
+        Number of its form.
+    end : int
+        Where the last one ends, in bytes.
 
     Raises
     ------
@@ -413,82 +466,107 @@ class _Finder:
         If they are no such message.
     """
 
-    def __init__(self, words: NDArray[np.uint32], limit: int, forms: Forms) -> None:
-        self._words = words
+    def __init__(self, words: memoryview, limit: int, forms: Forms) -> None:
         # Reading an element of a memoryview takes a third of the time of a NumPy scalar.
-        self._view = memoryview(words.data)
+        self._words = words
         self._limit = limit
-        self._walk = _Walk(self._view, limit)
+        self._walk = _Walk(words, limit)
         self._memory = forms
-        self.header = self._walk.over(_HEADER_STEPS, 0)
-        counted = self._walk.count(_ELEMENT, self.header.end)
-        self.count_at, count = counted.lengths[0]
-        self.starts = np.empty(count, np.int64)
-        self.forms = np.empty(count, np.int64)
-        self.end = counted.end
-        self._find_all(count)
+        self.header = self._find_header()
+        first = self.header.count_at + 4
+        self.end = first
+        self._blocks: list[tuple[IntArray, IntArray]] = []
+        count = self._count()
+        if count:
+            self._find_all(first // 4, count)
+        self.starts, self.forms = self._joined()
 
-    def _find_all(self, count: int) -> None:
+    def _find_header(self) -> _HeaderForm:
+        """Find the form of the message's header."""
+        place, known, _ = self._memory.headers
+        try:
+            form: _HeaderForm = known[self._words[place]]
+        except (IndexError, KeyError):
+            form = self._memory.learn_header(self._walk.over(_HEADER_STEPS, 0))
+        return form
+
+    def _count(self) -> int:
+        """Read how many detections there are, and that they can be there."""
+        at = self.header.count_at
+        if at + 4 <= self._limit:
+            count = self._words[at // 4]
+            if count * _LEAST_DETECTION <= self._limit - at - 4:
+                return count
+        # This says what is wrong.
+        return self._walk.count(_ELEMENT, self.header.end).lengths[0][1]
+
+    def _find_all(self, word: int, count: int) -> None:
         """Go from detection to detection, in leaps where many in a row have one form."""
-        view, known, templates = self._view, self._memory.known, self._memory.templates
+        words, known, strides = self._words, self._memory.known, self._memory.strides
         starts: list[int] = []
         forms: list[int] = []
-        done, alike, wanted, last = 0, 0, 3, -1
-        while done + len(starts) < count:
-            start = (self.end + 3) // 4
-            node: Any = known[start % 2]
+        left, alike, wanted, last = count, 0, 3, -1
+        while left:
+            place, values, more = known[word & 1]
             try:
-                while node.__class__ is list:
-                    node = node[1][view[start + node[0]]]
+                while more:
+                    place, values, more = values[words[word + place]]
+                form = values[words[word + place]]
             except (IndexError, KeyError):
-                node = self._learn(4 * start)
-            starts.append(4 * start)
-            forms.append(node)
-            self.end = 4 * start + templates[node].size
-            alike, last = alike + 1 if node == last else 1, node
-            if alike >= wanted and count - done - len(starts) >= _MIN_RUN:
-                done = self._note(done, starts, forms)
-                leap = self._leap(done, count - done)
-                done += leap
+                form = self._memory.learn(self._walk.over(_ELEMENT.inner, 4 * word), 4 * word)
+            starts.append(word)
+            forms.append(form)
+            word += strides[form]
+            left -= 1
+            if form != last:
+                alike, last = 1, form
+                continue
+            alike += 1
+            if alike >= wanted and left >= _MIN_RUN:
+                leap = self._leap(word, form, left)
+                if leap:
+                    self._note(starts, forms)
+                    starts, forms = [], []
+                    self._blocks.append((
+                        word + strides[form] * np.arange(leap), np.full(leap, form, np.int64)
+                    ))
+                    word += strides[form] * leap
+                    left -= leap
                 # Where runs are short, looking for them is dearer than what they save.
                 wanted, alike = (1, 0) if leap >= _MIN_RUN else (3 * wanted, 0)
-        self._note(done, starts, forms)
+        self._note(starts, forms)
+        self.end = 4 * (word - strides[form]) + self._memory.all[form].size
         if self.end > self._limit:
             raise WireError(f'{_ELEMENT.path} ends at byte {self.end} of {self._limit}')
 
-    def _learn(self, start: int) -> int:
-        """Walk over a detection of a form not seen before."""
-        template = _Template(self._walk.over(_ELEMENT.inner, start), start)
-        return self._memory.learn(template, start)
+    def _note(self, starts: list[int], forms: list[int]) -> None:
+        """Write down what was found one by one."""
+        if starts:
+            self._blocks.append((np.array(starts, np.int64), np.array(forms, np.int64)))
 
-    def _note(self, done: int, starts: list[int], forms: list[int]) -> int:
-        """Write down what was found one by one; tell how many detections that makes."""
-        behind = done + len(starts)
-        self.starts[done:behind] = starts
-        self.forms[done:behind] = forms
-        starts.clear()
-        forms.clear()
-        return behind
-
-    def _leap(self, index: int, most: int) -> int:
-        """Take in all detections from `index` on that have the form of the one before."""
-        form = int(self.forms[index - 1])
-        template = self._memory.templates[form]
-        start = int(self.starts[index - 1]) + template.stride
-        most = min(most, (self._limit - start - template.size) // template.stride + 1)
+    def _leap(self, word: int, form: int, most: int) -> int:
+        """Tell how many detections from `word` on have a form, up to `most`."""
+        found = self._memory.all[form]
+        step = found.stride // 4
+        most = min(most, (self._limit - 4 * word - found.size) // found.stride + 1)
         # Four bytes on, another form holds for the same lengths.
-        if template.stride % 8 or most < _MIN_RUN:
+        if step % 2 or most < _MIN_RUN:
             return 0
-        step = template.stride // 4
         alike = np.ones(most, np.bool_)
-        for at, length in template.lengths:
-            first = (start + at) // 4
-            alike &= self._words[first : first + step * (most - 1) + 1 : step] == length
-        count = most if alike.all() else int(alike.argmin())
-        self.starts[index : index + count] = start + template.stride * np.arange(count)
-        self.forms[index : index + count] = form
-        self.end = start + template.stride * (count - 1) + template.size if count else self.end
-        return count
+        words = np.asarray(self._words)
+        for at, length in found.lengths:
+            first = word + at // 4
+            alike &= words[first : first + step * (most - 1) + 1 : step] == length
+        return most if alike.all() else int(alike.argmin())
+
+    def _joined(self) -> tuple[IntArray, IntArray]:
+        """Join what was found."""
+        if len(self._blocks) == 1:
+            return self._blocks[0]
+        if not self._blocks:
+            return np.empty(0, np.int64), np.empty(0, np.int64)
+        starts, forms = zip(*self._blocks, strict=True)
+        return np.concatenate(starts), np.concatenate(forms)
 
 
 class Detections:
@@ -518,40 +596,40 @@ class Detections:
         limit = len(data) - ENCAPSULATION
         # Copied to where numbers are aligned, the encapsulation header before a multiple of
         # eight, and rounded up so that it can be seen as numbers.
-        self._buffer = np.empty(2 * ENCAPSULATION + _aligned(limit, 8), np.uint8)
-        self._buffer[:ENCAPSULATION] = 0
-        self._buffer[ENCAPSULATION : 2 * ENCAPSULATION + limit] = np.frombuffer(data, np.uint8)
-        self._buffer[ENCAPSULATION : 2 * ENCAPSULATION] = _LITTLE_ENDIAN
-        self._body = self._buffer[2 * ENCAPSULATION :]
-        self._body[limit:] = 0
-        words = self._body.view(order + 'u4')[: limit // 4]
+        filling = _PADDING[: -len(data) - ENCAPSULATION & 7]
+        self._buffer = bytearray().join((_PADDING[:ENCAPSULATION], data, filling))
+        words = memoryview(self._buffer)[_BODY : _BODY + limit // 4 * 4].cast('I')
+        if order != _BYTE_ORDER:
+            words = memoryview(np.array(words).byteswap())
         forms = Forms() if forms is None else forms
         forms.make_room()
-        found = _Finder(np.ascontiguousarray(words, np.uint32), limit, forms)
+        self._found = found = _Finder(words, limit, forms)
         if limit - found.end > 3:
             raise NotPlainCdrError(f'{limit - found.end} bytes behind the message')
-        self._found = found
         # The memory may be emptied for a later message; what this one needs stays.
-        self._templates, self._tables = forms.templates, forms.tables()
+        self._forms, self._places = forms.all, forms.places()
+        self._bytes = np.frombuffer(self._buffer, np.uint8, offset=_BODY)
+        self._numbers = np.frombuffer(self._buffer, '<f8', offset=_BODY)
         if order == '>':
             self._turn_around()
-        self._blank_padding(forms.padding() if len(found.starts) else None)
-        self._numbers = self._body.view('<f8')
-        self._boxes_at = self._at(0) // 8
+        self._buffer[ENCAPSULATION:_BODY] = _LITTLE_ENDIAN
+        self._blank_padding()
+        boxes_at = (found.starts + self._places.box[found.forms]) // 2
+        self._boxes_at = boxes_at + _XYWHR
 
     def __len__(self) -> int:
         """Count the detections."""
         return len(self._found.starts)
 
-    def _at(self, table: int) -> IntArray:
-        """Tell where a field of each detection lies, by one of the forms' tables."""
-        return self._found.starts + self._tables[table][self._found.forms]
+    def _at(self, table: IntArray) -> IntArray:
+        """Tell where a field of each detection lies, in words, by one of the tables of places."""
+        return self._found.starts + table[self._found.forms]
 
     @property
     def stamp(self) -> tuple[int, int]:
         """Seconds and nanoseconds of the message's stamp."""
-        seconds, nanoseconds = self._body[:8].view('<u4').tolist()
-        return seconds - (seconds >> 31 << 32), nanoseconds
+        seconds, nanoseconds = _STAMP.unpack_from(self._buffer, _BODY)
+        return seconds, nanoseconds
 
     def xywhr(self) -> FloatArray:
         """
@@ -562,7 +640,7 @@ class Detections:
         ndarray, shape (N, 5)
             Centre x and y, size x and y, theta, as `OrientedBoxes.from_xywhr` takes them.
         """
-        return self._numbers[self._boxes_at[:, None] + _XYWHR]
+        return self._numbers[self._boxes_at].T
 
     def best_hypotheses(self) -> tuple[IntArray, FloatArray]:
         """
@@ -575,19 +653,19 @@ class Detections:
         scores : ndarray, shape (N,)
             Its score, NaN where there is none. The first of equals is taken.
         """
-        if self._tables[1][self._found.forms].all():
-            return self._at(2), self._numbers[self._at(1) // 8]
+        places = self._places
+        if places.all_single:
+            return 4 * self._at(places.class_id), self._numbers[self._at(places.score) // 2]
         scores = np.full(len(self), np.nan)
         classes_at = np.zeros(len(self), np.int64)
         for form, rows in self._rows_by_form():
-            template = self._templates[form]
-            if not template.scores.size:
+            if not form.scores.size:
                 continue
-            starts = self._found.starts[rows]
-            values = self._numbers[(starts[:, None] + template.scores) // 8]
+            starts = 4 * self._found.starts[rows]
+            values = self._numbers[(starts[:, None] + form.scores) // 8]
             best = np.nan_to_num(values, nan=-np.inf).argmax(axis=1)
             scores[rows] = values[np.arange(len(rows)), best]
-            classes_at[rows] = starts + template.classes[best]
+            classes_at[rows] = starts + form.classes[best]
         return classes_at, scores
 
     def class_ids(self, classes_at: IntArray) -> list[str]:
@@ -604,8 +682,8 @@ class Detections:
         list of str
             N class ids, empty where there is no hypothesis. Bytes that are no UTF-8 are escaped.
         """
-        lengths = self._body.view('<u4')[classes_at // 4 - 1] - 1
-        raw = self._body.data
+        raw = memoryview(self._buffer)[_BODY:]
+        lengths = np.frombuffer(raw, '<u4')[classes_at // 4 - 1] - 1
         return [
             bytes(raw[at : at + length]).decode(errors='backslashreplace') if at else ''
             for at, length in zip(classes_at.tolist(), lengths.tolist(), strict=True)
@@ -630,10 +708,10 @@ class Detections:
             The serialized message, little-endian.
         """
         if rows is None:
-            _write_boxes(self._body, self._boxes_at, xywh)
+            _write_boxes(self._numbers, self._boxes_at, xywh)
         else:
-            _write_boxes(self._body, self._boxes_at[rows], xywh[rows])
-        return self._buffer[ENCAPSULATION : 2 * ENCAPSULATION + self._found.end].tobytes()
+            _write_boxes(self._numbers, self._boxes_at[:, rows], xywh[rows])
+        return _message(self._buffer, self._found.end)
 
     def selected(self, rows: IntArray, xywh: FloatArray) -> bytes:
         """
@@ -651,26 +729,25 @@ class Detections:
         bytes
             The serialized message, little-endian.
         """
-        raw = self._body.tobytes()
-        found, templates = self._found, self._templates
+        raw = memoryview(self._buffer)[_BODY:]
+        found, all_forms = self._found, self._forms
         chunks, end = self._beginning(raw, len(rows))
-        boxes_at = []
-        starts, forms = found.starts[rows].tolist(), found.forms[rows].tolist()
-        for start, form in zip(starts, forms, strict=True):
-            template = templates[form]
-            at = _aligned(end, 4)
-            if at != end:
-                chunks.append(_PADDING[: at - end])
-            if (at - start) % 8 == 0:
-                chunks.append(raw[start : start + template.size])
-                boxes_at.append(at + template.box)
-                end = at + template.size
+        boxes_at, unpadded = [], end
+        starts, forms = (4 * found.starts[rows]).tolist(), found.forms[rows].tolist()
+        for start, number in zip(starts, forms, strict=True):
+            form = all_forms[number]
+            if (end - start) % 8 == 0:
+                chunks.append(raw[start : start + form.stride])
+                boxes_at.append(end + form.box)
+                end += form.stride
             else:
-                for padding, begin, stop in template.moved.pieces:
+                moved = form.moved
+                for padding, begin, stop in moved.pieces:
                     chunks += (padding, raw[start + begin : start + stop])
-                boxes_at.append(at + template.moved.box)
-                end = at + template.moved.size
-        return _ending(chunks, end, boxes_at, xywh)
+                boxes_at.append(end + moved.box)
+                end += moved.stride
+            unpadded = end - form.stride + form.size
+        return _ending(chunks, unpadded, boxes_at, xywh)
 
     def joined(self, groups: Sequence[Sequence[int]], xywh: FloatArray) -> bytes:
         """
@@ -689,7 +766,7 @@ class Detections:
             The serialized message, little-endian. A detection has the header of the first of its
             group, all hypotheses of the group, and the ids of the group joined by `ID_SEPARATOR`.
         """
-        raw = self._body.tobytes()
+        raw = bytes(memoryview(self._buffer)[_BODY:])
         chunks, end = self._beginning(raw, len(groups))
         boxes_at = []
         for group in groups:
@@ -709,60 +786,61 @@ class Detections:
             boxes_at.append(at - 8 * _XYWHR.size)
         return _ending(chunks, end, boxes_at, xywh)
 
-    def _beginning(self, raw: bytes, count: int) -> tuple[list[bytes], int]:
+    def _beginning(self, raw: bytes | memoryview, count: int) -> tuple[list[Any], int]:
         """Begin a message of `count` detections; also tell how long that is."""
-        at = self._found.count_at
-        chunks = [bytes(ENCAPSULATION), _LITTLE_ENDIAN.tobytes(), raw[:at]]
+        at = self._found.header.count_at
+        chunks = [_PADDING[:ENCAPSULATION], _LITTLE_ENDIAN, raw[:at]]
         return [*chunks, count.to_bytes(4, 'little')], at + 4
 
     def _parts(self, raw: bytes, row: int) -> tuple[bytes, list[tuple[bytes, bytes]], bytes]:
         """Take a detection apart: header, class id and numbers of each hypothesis, id."""
-        start = int(self._found.starts[row])
-        template = self._templates[self._found.forms[row]]
+        start = 4 * int(self._found.starts[row])
+        form = self._forms[self._found.forms[row]]
         # Up to the last byte that is no padding.
-        frame_at, frame_size = template.lengths[0]
+        frame_at, frame_size = form.lengths[0]
         header = raw[start : start + frame_at + 4 + frame_size]
         hypotheses = []
-        class_lengths = template.lengths[_RESULTS + 1 : -1]
-        for (at, length), numbers in zip(class_lengths, template.scores.tolist(), strict=True):
+        class_lengths = form.lengths[_RESULTS + 1 : -1]
+        for (at, length), numbers in zip(class_lengths, form.scores.tolist(), strict=True):
             behind = start + numbers + 8 * _HYPOTHESIS_NUMBERS
             class_id = raw[start + at : start + at + 4 + length]
             hypotheses.append((class_id, raw[start + numbers : behind]))
-        at, length = template.lengths[-1]
+        at, length = form.lengths[-1]
         return header, hypotheses, raw[start + at + 4 : start + at + 4 + length - 1]
 
-    def _rows_by_form(self) -> Iterator[tuple[int, IntArray]]:
+    def _rows_by_form(self) -> Iterator[tuple[_Form, IntArray]]:
         """Group the detections by their form."""
         forms = self._found.forms
         order = np.argsort(forms, kind='stable')
         bounds = np.flatnonzero(np.diff(forms[order])) + 1
         for rows in np.split(order, bounds) if len(order) else ():
-            yield int(forms[rows[0]]), rows
+            yield self._forms[forms[rows[0]]], rows
 
-    def _blank_padding(self, padding: IntArray | None) -> None:
+    def _blank_padding(self) -> None:
         """Zero the bytes between fields: what writers leave there is whatever their memory held."""
-        found = self._found
-        self._body[[*found.header.padding, *range(found.header.end, found.count_at)]] = 0
-        if padding is not None:
-            at = padding[found.forms]
-            at += found.starts[:, None]
-            if padding.size and padding.min() < 0:
-                at = at[padding[found.forms, 0] >= 0]
-            self._body[at] = 0
+        for at in self._found.header.padding:
+            self._buffer[_BODY + at] = 0
+        if not len(self):
             return
-        for form, rows in self._rows_by_form():
-            self._body[found.starts[rows][:, None] + self._templates[form].padding] = 0
+        if self._places.padding is None:
+            for form, rows in self._rows_by_form():
+                self._bytes[4 * self._found.starts[rows, None] + form.padding] = 0
+            return
+        padding = self._places.padding[self._found.forms]
+        at = padding + 4 * self._found.starts[:, None]
+        if self._places.some_unpadded:
+            at = at[padding[:, 0] >= 0]
+        self._bytes[at] = 0
 
     def _turn_around(self) -> None:
         """Turn the bytes of every number around, from big-endian to little-endian."""
-        found = self._found
-        places = {size: [at] for size, at in _numbers_by_size(found.header, 0).items()}
-        places[4].append(np.array([found.count_at], np.int64))
+        places = {size: [at] for size, at in self._found.header.swaps.items()}
         for form, rows in self._rows_by_form():
-            for size, relative in self._templates[form].swaps.items():
-                places[size].append((found.starts[rows][:, None] + relative).ravel())
+            starts = 4 * self._found.starts[rows, None]
+            for size, relative in form.swaps.items():
+                places[size].append((starts + relative).ravel())
         for size, parts in places.items():
-            numbers = self._body.view(f'u{size}')
+            numbers = self._bytes.view(f'u{size}')
             at = np.concatenate(parts) // size
             numbers[at] = numbers[at].byteswap()
 
@@ -772,20 +850,24 @@ def _text(content: bytes) -> bytes:
     return (len(content) + 1).to_bytes(4, 'little') + content + b'\0'
 
 
-def _ending(chunks: list[bytes], end: int, boxes_at: list[int], xywh: FloatArray) -> bytes:
-    """Make a message of chunks that hold `end` bytes, with boxes at the places given."""
-    chunks.append(_PADDING[: _aligned(end, 8) - end])
-    buffer = np.frombuffer(bytearray().join(chunks), np.uint8)
-    at_numbers = np.array(boxes_at, np.int64) // 8
-    _write_boxes(buffer[2 * ENCAPSULATION :], at_numbers, xywh)
-    return buffer[ENCAPSULATION : 2 * ENCAPSULATION + end].tobytes()
+def _ending(chunks: list[Any], end: int, boxes_at: list[int], xywh: FloatArray) -> bytes:
+    """Make a message of chunks that hold `end` bytes, with boxes at the bytes given."""
+    chunks.append(_PADDING)
+    buffer = bytearray().join(chunks)
+    numbers = np.frombuffer(buffer, '<f8', _aligned(end, 8) // 8, _BODY)
+    _write_boxes(numbers, np.array(boxes_at, np.int64) // 8 + _XYWHR, xywh)
+    return _message(buffer, end)
 
 
-def _write_boxes(body: NDArray[np.uint8], boxes_at: IntArray, xywh: FloatArray) -> None:
-    """Write axis-aligned boxes at the numbers of `body` that `boxes_at` counts to."""
-    numbers = body.view('<f8')
-    numbers[boxes_at[:, None] + _XYWH] = xywh
-    numbers[boxes_at + 2] = 0.0
+def _write_boxes(numbers: FloatArray, boxes_at: IntArray, xywh: FloatArray) -> None:
+    """Write axis-aligned boxes, (N, 4), at the places of x, y, size x, size y, theta, (5, N)."""
+    numbers[boxes_at[:4]] = xywh.T
+    numbers[boxes_at[4]] = 0.0
+
+
+def _message(buffer: bytearray, end: int) -> bytes:
+    """Take the message whose body has `end` bytes out of its buffer."""
+    return bytes(memoryview(buffer)[ENCAPSULATION : _BODY + end])
 
 
 @dataclass(frozen=True)

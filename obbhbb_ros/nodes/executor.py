@@ -18,6 +18,7 @@ from rclpy.node import Node
 
 _FOREVER = -1
 _KINDS = ('subscription', 'guard_condition', 'timer', 'client', 'service')
+_OTHER_KINDS = _KINDS[1:]
 
 
 class ExpressExecutor(SingleThreadedExecutor):
@@ -34,7 +35,7 @@ class ExpressExecutor(SingleThreadedExecutor):
         super().__init__(context=node.context)
         self._served = node
         self._wait_set: Any = None
-        self._handles: dict[str, list[Any]] = {}
+        self._additions: list[tuple[Any, list[Any]]] = []
         self.add_node(node)
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
@@ -53,44 +54,46 @@ class ExpressExecutor(SingleThreadedExecutor):
             return
         nanoseconds = _FOREVER if timeout_sec is None else int(timeout_sec * 1e9)
         try:
-            ready = self._wait(nanoseconds)
+            self._wait(nanoseconds)
+            # What else is ready is asked for only when the message is through.
+            ready = self._wait_set.get_ready_entities('subscription')
+            taken = None
+            if subscription.handle.pointer in ready:
+                ready.remove(subscription.handle.pointer)
+                taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
         except rclpy_implementation.InvalidHandle:
             # Something was destroyed since the handles were gathered.
             self._wait_set = None
             return
-        express = subscription.handle.pointer
-        if express in ready['subscription']:
-            ready['subscription'].remove(express)
-            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        try:
             if taken is not None:
                 subscription.callback(taken[0])
-        if any(ready.values()):
-            # A guard condition may tell of new entities.
-            self._wait_set = None
-            super().spin_once(0.0)
+        finally:
+            if ready or any(map(self._wait_set.get_ready_entities, _OTHER_KINDS)):
+                # A guard condition may tell of new entities.
+                self._wait_set = None
+                super().spin_once(0.0)
 
-    def _wait(self, nanoseconds: int) -> dict[str, list[int]]:
-        """Wait; tell what is ready, by kind."""
+    def _wait(self, nanoseconds: int) -> None:
+        """Wait for anything of the node."""
         if self._wait_set is None:
             self._gather()
         self._wait_set.clear_entities()
-        for kind in _KINDS:
-            add = getattr(self._wait_set, f'add_{kind}')
-            for handle in self._handles[kind]:
+        for add, handles in self._additions:
+            for handle in handles:
                 add(handle)
         self._wait_set.wait(nanoseconds)
         if not self._context.ok():
             raise ExternalShutdownException
-        return {kind: self._wait_set.get_ready_entities(kind) for kind in _KINDS}
 
     def _gather(self) -> None:
         """Make a wait set for what the node has now."""
         node = self._served
         guards = [*node.guards, self._guard, self._sigint_gc]
         entities = (node.subscriptions, guards, node.timers, node.clients, node.services)
-        self._handles = {
-            kind: [entity.handle for entity in group]
-            for kind, group in zip(_KINDS, entities, strict=True)
-        }
-        counts = [len(self._handles[kind]) for kind in _KINDS]
-        self._wait_set = rclpy_implementation.WaitSet(*counts, 0, self._context.handle)
+        groups = [[entity.handle for entity in group] for group in entities]
+        self._wait_set = rclpy_implementation.WaitSet(*map(len, groups), 0, self._context.handle)
+        self._additions = [
+            (getattr(self._wait_set, f'add_{kind}'), group)
+            for kind, group in zip(_KINDS, groups, strict=True)
+        ]

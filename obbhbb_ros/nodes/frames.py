@@ -93,10 +93,11 @@ class WireFrame:
 
     def boxes_message(self, center: FloatArray, extents: FloatArray, keep_invalid: bool) -> bytes:
         """See `Frame`."""
-        valid = np.isfinite(extents[0])
         xywh = np.concatenate((center, 2.0 * extents)).T
-        if valid.all():
+        # NaN passes through the maximum, and compares as false.
+        if np.maximum.reduce(extents[0], initial=0.0) < np.inf:
             return self._detections.rewrite(xywh)
+        valid = np.isfinite(extents[0])
         if keep_invalid:
             return self._detections.rewrite(xywh, valid)
         return self._detections.selected(np.flatnonzero(valid), xywh[valid])

@@ -185,8 +185,8 @@ def crop_message(message: Detection2DArray, plan: CropPlan) -> Detection2DArray:
 
 def region_boxes(plan: CropPlan) -> FloatArray:
     """Give centre x and y, size x and y of the regions of a plan, (M, 4), pixels."""
-    low, high = plan.regions[:, :2], plan.regions[:, 2:]
-    return np.hstack(((low + high) / 2.0, (high - low).astype(np.float64)))
+    low, high = plan.regions.T[:2], plan.regions.T[2:]
+    return np.concatenate(((low + high) / 2.0, high - low)).T
 
 
 def read_regions(data: bytes, forms: Forms) -> tuple[tuple[int, int], list[Region]]:

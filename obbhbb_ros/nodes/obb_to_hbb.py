@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,6 +19,7 @@ from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import half_extents
 from obbhbb_ros.converter import to_xyxy
+from obbhbb_ros.crops import CropPlan
 from obbhbb_ros.crops import plan_crops
 from obbhbb_ros.nodes import messages
 from obbhbb_ros.nodes.frames import Frame
@@ -152,25 +154,31 @@ class ObbToHbb(ManagedNode[Settings]):
         if settings.rule_of_class:
             rule_of = messages.rules_of(frame.class_ids(), settings.rule_of_class)
         extents = half_extents(boxes, settings.rules, rule_of, settings.caps)
-        if wants_crops:
-            weights = None if rule_of is None else settings.weights[rule_of]
-            self._publish_crops(frame, boxes, extents, weights, settings)
+        planner = self._planner(frame, boxes, rule_of, settings) if wants_crops else None
+        if planner is not None:
+            plan = planner(extents)
+            self._crops_publisher.publish(frame.crops_message(plan))
         if wants_boxes:
             self._boxes_publisher.publish(
                 frame.boxes_message(boxes.center, extents, settings.keep_invalid)
             )
-        # Last: whoever waits for the boxes does not wait for this.
+        # Last: whoever waits for the answer does not wait for this.
         self._count(frame, boxes, extents, settings)
+        if planner is not None:
+            self._count_crops(plan)
+            if settings.compare_outer:
+                self._monitor.add('crop_pixels.compared', plan.pixels)
+                of_outer = planner(half_extents(boxes, OUTER))
+                self._monitor.add('crop_pixels.outer_boxes', of_outer.pixels)
 
-    def _publish_crops(
+    def _planner(
         self,
         frame: Frame,
         boxes: OrientedBoxes,
-        extents: FloatArray,
-        weights: FloatArray | None,
+        rule_of: NDArray[np.intp] | None,
         settings: Settings,
-    ) -> None:
-        """Plan and publish the crop regions of one message."""
+    ) -> Callable[[FloatArray], CropPlan] | None:
+        """Give what plans the crops of a message by half-extents; None without an image size."""
         self._take_camera_info()
         image_size = tuple(
             given or seen
@@ -183,21 +191,21 @@ class ObbToHbb(ManagedNode[Settings]):
                 'no crop regions without the size of the image: set image_width and '
                 'image_height, or publish camera_info'
             )
-            return
-        xyxy = to_xyxy(boxes.center, extents)
-        plan = plan_crops(xyxy, frame.scores(), image_size, settings.crop, weights)
+            return None
+        scores = frame.scores()
+        weights = None if rule_of is None else settings.weights[rule_of]
+        return lambda extents: plan_crops(
+            to_xyxy(boxes.center, extents), scores, image_size, settings.crop, weights
+        )
+
+    def _count_crops(self, plan: CropPlan) -> None:
+        """Count the regions of a plan, and the boxes that have none."""
         self._monitor.add('crops_planned', len(plan.regions))
         self._monitor.add('crop_pixels.planned', plan.pixels)
         if plan.merged:
             self._monitor.add('crops_merged_away', len(plan.sources) - len(plan.regions))
-        if settings.compare_outer:
-            outer = to_xyxy(boxes.center, half_extents(boxes, OUTER))
-            of_outer = plan_crops(outer, frame.scores(), image_size, settings.crop, weights)
-            self._monitor.add('crop_pixels.compared', plan.pixels)
-            self._monitor.add('crop_pixels.outer_boxes', of_outer.pixels)
         for reason, count in plan.left_out.items():
             self._monitor.add(f'crops_left_out.{reason.value}', count)
-        self._crops_publisher.publish(frame.crops_message(plan))
 
     def _count(
         self,

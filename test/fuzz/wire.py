@@ -52,7 +52,7 @@ def check(data: bytes) -> str:
     assert count * 64 <= len(data), 'more detections than the bytes can hold'
     places, scores = found.best_hypotheses()
     assert len(found.class_ids(places)) == len(scores) == count
-    boxes_at = [4 + 8 * int(at) for at in found._boxes_at]
+    boxes_at = [4 + 8 * int(at) for at in found._boxes_at[0]]
     plain, rows = canonical(data), np.arange(4.0 * count).reshape(-1, 4) - 0.5
     written = found.rewrite(rows)
     assert len(plain) == len(written)

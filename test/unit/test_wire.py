@@ -163,7 +163,7 @@ def test_the_memory_of_forms_is_bounded() -> None:
     forms = Forms(capacity=10)
     for length in range(100):
         Detections(encode(Message(detections=(Detection(id='x' * length),))), forms)
-    assert len(forms.templates) <= 11
+    assert len(forms.all) <= 11
 
 
 @given(message=MESSAGES, data=st.data())
