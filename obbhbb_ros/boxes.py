@@ -7,6 +7,7 @@ extents are even in the angle and have period pi, so its sense of rotation does 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Sequence
 from enum import IntEnum
@@ -89,12 +90,6 @@ class OrientedBoxes:
         self._axes: tuple[FloatArray, FloatArray] | None = None
 
     @classmethod
-    def _room_for(cls, count: int) -> OrientedBoxes:
-        """Make room for boxes that are yet to be written, and taken for tame until then."""
-        center, first, second = np.empty((3, 2, count))
-        return cls(center, first, second, np.zeros(count, np.uint8), True)
-
-    @classmethod
     def from_corners(cls, corners: ArrayLike) -> OrientedBoxes:
         """
         Take boxes from their corners.
@@ -117,20 +112,7 @@ class OrientedBoxes:
         ValueError
             If `corners` does not have that shape or holds anything but numbers.
         """
-        array = _as_array(corners, 'corners', (4, 2))
-        boxes = cls._room_for(len(array))
-        for rows in blocks(len(array)):
-            # Transposed and quartered at once: all that follows runs along contiguous memory.
-            quarters = np.multiply(array[rows].transpose(1, 2, 0), 0.25, order='C')
-            if _none_large(quarters):
-                boxes._write_corners(quarters, rows)
-                if np.minimum.reduce(boxes._areas(rows)) > _SMALL**2:
-                    continue
-            boxes.tame = False
-            with np.errstate(invalid='ignore', over='ignore'):
-                boxes._write_corners(quarters, rows)
-                boxes._mark_defects(rows)
-        return boxes
+        return _in_blocks(_as_array(corners, 'corners', (4, 2)), _boxes_of_corners)
 
     @classmethod
     def from_xywhr(cls, xywhr: ArrayLike) -> OrientedBoxes:
@@ -153,21 +135,7 @@ class OrientedBoxes:
         ValueError
             If `xywhr` does not have that shape or holds anything but numbers.
         """
-        array = _as_array(xywhr, 'xywhr', (5,))
-        boxes = cls._room_for(len(array))
-        for rows in blocks(len(array)):
-            columns = array[rows].T
-            if _none_large(columns) and np.minimum.reduce(columns[2:4], axis=None) > _SMALL:
-                boxes._write_columns(columns, rows)
-                continue
-            boxes.tame = False
-            with np.errstate(invalid='ignore', over='ignore'):
-                boxes._write_columns(columns, rows)
-                boxes._mark_defects(rows)
-            negative = (columns[2:4] < 0.0).any(axis=0)
-            negative &= boxes.defects[rows] != Defect.NOT_FINITE
-            boxes._mark(rows, negative, Defect.NEGATIVE_SIZE)
-        return boxes
+        return _in_blocks(_as_array(xywhr, 'xywhr', (5,)), _boxes_of_xywhr)
 
     @classmethod
     def from_polygons(cls, polygons: Iterable[ArrayLike]) -> OrientedBoxes:
@@ -203,47 +171,20 @@ class OrientedBoxes:
         boxes.defects[known] = defects[known]
         return boxes
 
-    def _write_corners(self, quarters: FloatArray, rows: slice) -> None:
-        """Write the boxes of corners, given as a quarter of each, (4, 2, n), to some rows."""
-        diagonal, other = quarters[2:] - quarters[:2]
-        first = np.subtract(diagonal, other, out=self.first[:, rows])
-        second = np.add(diagonal, other, out=self.second[:, rows])
-        # Not the mean of the corners: so `outer` is their minimum and maximum even where they were
-        # rounded to whole pixels. Edges of one sign make their sum the longer diagonal.
-        middles = quarters[2:] + quarters[:2]
-        _take_second_where_signs_differ(middles, first, second)
-        np.multiply(middles[0], 2.0, out=self.center[:, rows])
+    def mark(self, which: NDArray[np.bool_], defect: Defect) -> None:
+        """
+        Mark boxes as defective, and let no number of theirs reach a caller.
 
-    def _write_columns(self, columns: FloatArray, rows: slice) -> None:
-        """Write the boxes of some x, y, width, height and theta, (5, n), to some rows."""
-        self.center[:, rows] = columns[:2]
-        half_width, half_height = columns[2:4] * 0.5
-        direction = np.empty((2, columns.shape[1]))
-        np.cos(columns[4], out=direction[0])
-        np.sin(columns[4], out=direction[1])
-        np.multiply(direction, half_width, out=self.first[:, rows])
-        second = np.multiply(direction[::-1], half_height, out=self.second[:, rows])
-        np.negative(second[0], out=second[0])
-
-    def _areas(self, rows: slice) -> FloatArray:
-        """Compute a quarter of the area of some boxes."""
-        products = self.first[:, rows] * self.second[::-1, rows]
-        areas = products[0] - products[1]
-        return np.abs(areas, out=areas)
-
-    def _mark_defects(self, rows: slice) -> None:
-        """Mark those of some boxes that cannot be used."""
-        numbers = np.concatenate([each[:, rows] for each in (self.center, self.first, self.second)])
-        finite = np.isfinite(numbers).all(axis=0)
-        empty = self._areas(rows) == 0.0
-        self._mark(rows, ~finite, Defect.NOT_FINITE)
-        self._mark(rows, finite & empty, Defect.EMPTY)
-
-    def _mark(self, rows: slice, which: NDArray[np.bool_], defect: Defect) -> None:
-        """Mark some of `rows` as defective, and let no number of theirs reach a caller."""
-        self.defects[rows][which] = defect
+        Parameters
+        ----------
+        which : ndarray of bool, shape (N,)
+            The boxes.
+        defect : Defect
+            What is wrong with them.
+        """
+        self.defects[which] = defect
         for array in (self.center, self.first, self.second):
-            array[:, rows][:, which] = np.nan
+            array[:, which] = np.nan
 
     def __len__(self) -> int:
         """Count the boxes."""
@@ -320,6 +261,91 @@ class OrientedBoxes:
         return np.ascontiguousarray(stacked.transpose(2, 0, 1))
 
 
+def _in_blocks(
+    array: FloatArray, boxes_of: Callable[[FloatArray], OrientedBoxes]
+) -> OrientedBoxes:
+    """Make boxes of some rows at a time."""
+    if len(array) <= BLOCK:
+        return boxes_of(array)
+    center, first, second = np.empty((3, 2, len(array)))
+    boxes = OrientedBoxes(center, first, second, np.empty(len(array), np.uint8), True)
+    for rows in blocks(len(array)):
+        block = boxes_of(array[rows])
+        center[:, rows], first[:, rows], second[:, rows] = block.center, block.first, block.second
+        boxes.defects[rows] = block.defects
+        boxes.tame &= block.tame
+    return boxes
+
+
+def _boxes_of_corners(corners: FloatArray) -> OrientedBoxes:
+    """Make boxes of corners, (n, 4, 2)."""
+    # Transposed and quartered at once: all that follows runs along contiguous memory.
+    quarters = np.multiply(corners.transpose(1, 2, 0), 0.25, order='C')
+    if _none_large(quarters):
+        boxes = _lay_corners(quarters)
+        if np.minimum.reduce(_areas(boxes), initial=np.inf) > _SMALL**2:
+            boxes.tame = True
+            return boxes
+    with np.errstate(invalid='ignore', over='ignore'):
+        boxes = _lay_corners(quarters)
+        _mark_unusable(boxes)
+        return boxes
+
+
+def _boxes_of_xywhr(xywhr: FloatArray) -> OrientedBoxes:
+    """Make boxes of centre, size and angle, (n, 5)."""
+    columns = xywhr.T
+    sizes = columns[2:4]
+    if _none_large(columns) and np.minimum.reduce(sizes, axis=None, initial=np.inf) > _SMALL:
+        boxes = _lay_columns(columns)
+        boxes.tame = True
+        return boxes
+    with np.errstate(invalid='ignore', over='ignore'):
+        boxes = _lay_columns(columns)
+        _mark_unusable(boxes)
+    negative = (sizes < 0.0).any(axis=0)
+    boxes.mark(negative & (boxes.defects != Defect.NOT_FINITE), Defect.NEGATIVE_SIZE)
+    return boxes
+
+
+def _lay_corners(quarters: FloatArray) -> OrientedBoxes:
+    """Lay boxes through corners, given as a quarter of each, (4, 2, n)."""
+    diagonals = quarters[2:] - quarters[:2]
+    first, second = diagonals[0] - diagonals[1], diagonals[0] + diagonals[1]
+    # Not the mean of the corners: so `outer` is their minimum and maximum even where they were
+    # rounded to whole pixels. Edges of one sign make their sum the longer diagonal.
+    middles = quarters[2:] + quarters[:2]
+    _take_second_where_signs_differ(middles, first, second)
+    return OrientedBoxes(middles[0] * 2.0, first, second, np.zeros(first.shape[1], np.uint8))
+
+
+def _lay_columns(columns: FloatArray) -> OrientedBoxes:
+    """Lay boxes of x, y, width, height and theta, (5, n)."""
+    half = columns[2:4] * 0.5
+    direction = np.empty_like(half)
+    np.cos(columns[4], out=direction[0])
+    np.sin(columns[4], out=direction[1])
+    first, second = direction * half[0], direction[::-1] * half[1]
+    np.negative(second[0], out=second[0])
+    return OrientedBoxes(columns[:2].copy(), first, second, np.zeros(half.shape[1], np.uint8))
+
+
+def _areas(boxes: OrientedBoxes) -> FloatArray:
+    """Compute a quarter of the area of each box."""
+    products = boxes.first * boxes.second[::-1]
+    areas = products[0] - products[1]
+    return np.abs(areas, out=areas)
+
+
+def _mark_unusable(boxes: OrientedBoxes) -> None:
+    """Mark the boxes that are not finite or have no area."""
+    numbers = np.concatenate((boxes.center, boxes.first, boxes.second))
+    finite = np.logical_and.reduce(np.isfinite(numbers))
+    empty = finite & (_areas(boxes) == 0.0)
+    boxes.mark(~finite, Defect.NOT_FINITE)
+    boxes.mark(empty, Defect.EMPTY)
+
+
 def _as_array(values: ArrayLike, name: str, row_shape: tuple[int, ...]) -> FloatArray:
     """Read `values` as float64 rows of `row_shape`, or say what is wrong with them."""
     try:
@@ -337,7 +363,7 @@ def _as_array(values: ArrayLike, name: str, row_shape: tuple[int, ...]) -> Float
 def _none_large(numbers: FloatArray) -> bool:
     """Tell whether all numbers are finite and so small that no product of two overflows."""
     # NaN passes through the maximum, and compares as false.
-    return bool(np.maximum.reduce(np.abs(numbers), axis=None) < _LARGE)
+    return bool(np.maximum.reduce(np.abs(numbers), axis=None, initial=0.0) < _LARGE)
 
 
 def _take_second_where_signs_differ(

@@ -9,6 +9,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
+from obbhbb_ros.boxes import BLOCK
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.boxes import blocks
@@ -309,6 +310,8 @@ def _all_extents(
     caps: Caps,
 ) -> FloatArray:
     """Compute the half-extents of all boxes, (2, N)."""
+    if rule_of is None and len(boxes) <= BLOCK:
+        return _block_extents(boxes, rules[0], caps, slice(None))
     extents = np.empty((2, len(boxes)))
     if rule_of is None:
         for rows in blocks(len(boxes)):

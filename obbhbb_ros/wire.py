@@ -35,6 +35,7 @@ ENCAPSULATION = 4
 _PLAIN_CDR = {b'\x00\x00\x00\x00': '>', b'\x00\x01\x00\x00': '<'}
 _LITTLE_ENDIAN = b'\x00\x01\x00\x00'
 _PADDING = bytes(8)
+_FLOAT = np.dtype('<f8')
 # In a buffer four bytes lie before the encapsulation header, so that its body is aligned.
 _BODY = 2 * ENCAPSULATION
 
@@ -114,6 +115,8 @@ _STAMP = struct.Struct('<iI')
 _HYPOTHESIS_NUMBERS = 44
 # Of the lengths in a detection, that of its hypotheses comes behind that of its frame_id.
 _RESULTS = 1
+# The length of its frame_id lies behind its stamp.
+_FRAME_ID = 8
 ID_SEPARATOR = '|'
 
 
@@ -256,6 +259,7 @@ class _Form:
         self.lengths = [(at - start, length) for at, length in trace.lengths]
         self.size = trace.end - start
         self.stride = _aligned(self.size, 4)
+        self.phase = start % 8
         self.box = trace.found[_BOX][0] - start
         self.classes = np.array(trace.found.get(_CLASS, []), np.int64) - start
         self.scores = np.array(trace.found.get(_SCORE, []), np.int64) - start
@@ -318,7 +322,16 @@ def _aligned(position: int, size: int) -> int:
 _HEADER_STEPS = _flatten(HEADER)
 _ELEMENT = next(step for step in _flatten(DETECTION_2D_ARRAY) if isinstance(step.kind, Many))
 _LEAST_DETECTION = sum(step.min_size for step in _ELEMENT.inner)
-_MIN_RUN = 16
+# From so many detections on it pays to look for all at once.
+_MANY = 64
+# What is longer, or has more results, is not kept in tables.
+_LONG = 128
+_MOST_RESULTS = 5
+_UNKNOWN = np.iinfo(np.int32).min
+# So many words of a frame_id are compared.
+_MOST_WORDS = 4
+# Fewer detections than this are seen to one by one in less time than NumPy takes.
+_FEW = 8
 _MOST_PADDING = 64
 _BYTE_ORDER = '<' if sys.byteorder == 'little' else '>'
 
@@ -365,7 +378,8 @@ class Forms:
         self.known: tuple[_Node, _Node] = (_node(), _node())
         self.all: list[_Form] = []
         self.strides: list[int] = []
-        self._places: _Places | None = None
+        self._places = _Places(self.all)
+        self._tables: _Tables | None = None
 
     def make_room(self) -> None:
         """Forget everything if that has become too much."""
@@ -388,21 +402,35 @@ class Forms:
 
     def places(self) -> _Places:
         """Give by form where most detections have what is needed most."""
-        if self._places is None or len(self._places.box) != len(self.all):
+        if len(self._places) != len(self.all):
             self._places = _Places(self.all)
+            self._tables = None
         return self._places
+
+    def tables(self) -> _Tables | None:
+        """Give the trees as tables; None while every message brings new forms."""
+        if len(self._places) != len(self.all):
+            return None
+        if self._tables is None:
+            self._tables = _Tables(self.known)
+        return self._tables
 
 
 class _Places:
     """
-    Tables by form, in words from the start of a detection.
+    Tables by form of where detections have what is needed most.
+
+    Numbers of eight bytes are counted from the last multiple of eight bytes at or before the start
+    of the detection, by eights.
 
     Attributes
     ----------
-    box : ndarray of int, shape (F,)
-        Where the box lies.
-    score, class_id : ndarray of int, shape (F,)
-        Where score and class id lie, for forms with just one hypothesis; else 0.
+    box : ndarray of int, shape (5, F)
+        Where x, y, size x, size y and theta lie.
+    score : ndarray of int, shape (F,)
+        Where the score lies, for forms with just one hypothesis.
+    class_id : ndarray of int, shape (F,)
+        Where their class id lies, in bytes from the start.
     all_single : bool
         Whether all forms have just one.
     padding : ndarray of int, shape (F, P), or None
@@ -414,15 +442,98 @@ class _Places:
     """
 
     def __init__(self, forms: Sequence[_Form]) -> None:
-        rows = [
-            (form.box, form.scores[0], form.classes[0]) if form.scores.size == 1
-            else (form.box, 0, 0)
-            for form in forms
-        ]
-        self.box, self.score, self.class_id = np.array(rows, np.int64).reshape(-1, 3).T // 4
-        self.all_single = bool(self.score.all())
+        self._count = len(forms)
+        self.stride = np.array([form.stride // 4 for form in forms], np.int64)
+        phase = np.array([form.phase for form in forms], np.int64)
+        self.all_single = all(form.scores.size == 1 for form in forms)
+        self.box = (np.array([form.box for form in forms], np.int64) + phase) // 8 + _XYWHR
+        if self.all_single:
+            self.score = (np.array([form.scores[0] for form in forms], np.int64) + phase) // 8
+            self.class_id = np.array([form.classes[0] for form in forms], np.int64)
         self.padding = _padding_table(forms)
         self.some_unpadded = not all(form.padding.size for form in forms)
+
+    def __len__(self) -> int:
+        """Count the forms."""
+        return self._count
+
+
+class _Tables:
+    """
+    The trees of `Forms`, for looking up the forms of many detections at once.
+
+    Attributes
+    ----------
+    roots : dict of (int, int) to ndarray of int, shape (2,)
+        By the first two lengths of a detection, those of its frame_id and of its results, the node
+        that comes next, for starts at an even and an odd word; `_UNKNOWN` where there is none.
+    """
+
+    def __init__(self, trees: tuple[_Node, _Node]) -> None:
+        self.roots: dict[tuple[int, int], IntArray] = {}
+        self._place: list[int] = []
+        self._next: list[NDArray[np.int32]] = []
+        for odd, tree in enumerate(trees):
+            for frame_id, below in tree[1].items():
+                for results, node in below[1].items():
+                    if results > _MOST_RESULTS:
+                        continue
+                    root = self.roots.setdefault((frame_id, results), np.full(2, _UNKNOWN))
+                    root[odd] = self._enter(node)
+        self._places, self._nexts = np.array(self._place), np.array(self._next)
+
+    def _enter(self, node: _Node) -> int:
+        """Write a node and those below it into the tables; give its number."""
+        place, below, more = node
+        number = len(self._place)
+        self._place.append(place)
+        following = np.full(_LONG, _UNKNOWN, np.int32)
+        self._next.append(following)
+        for length, each in below.items():
+            if length < _LONG:
+                # A form is told from a node by its sign.
+                following[length] = self._enter(each) if more else ~each
+        return number
+
+    def forms(
+        self, words: NDArray[np.uint32], starts: IntArray, lengths: tuple[int, int]
+    ) -> IntArray | None:
+        """
+        Look up forms.
+
+        Parameters
+        ----------
+        words : ndarray of uint32
+            The message.
+        starts : ndarray of int, shape (N,)
+            Where its detections start, in words.
+        lengths : tuple of int
+            The first two lengths of all.
+
+        Returns
+        -------
+        ndarray of int, shape (N,), or None
+            The forms; None if one is not known.
+
+        Raises
+        ------
+        IndexError
+            If there are not so many words.
+        """
+        if lengths not in self.roots:
+            return None
+        nodes = self.roots[lengths][starts & 1]
+        while True:
+            lowest = nodes.min()
+            if lowest == _UNKNOWN:
+                return None
+            if lowest < 0:
+                # The results of all are equal in number, and so are the lengths that lie ahead.
+                return ~nodes
+            found = words[starts + self._places[nodes]]
+            if found.max() >= _LONG:
+                return None
+            nodes = self._nexts[nodes, found]
 
 
 def _padding_table(forms: Sequence[_Form]) -> IntArray | None:
@@ -475,11 +586,14 @@ class _Finder:
         self.header = self._find_header()
         first = self.header.count_at + 4
         self.end = first
-        self._blocks: list[tuple[IntArray, IntArray]] = []
+        self.starts = self.forms = np.empty(0, np.int64)
         count = self._count()
         if count:
-            self._find_all(first // 4, count)
-        self.starts, self.forms = self._joined()
+            if count < _MANY or not self._find_at_once(first // 4, count):
+                self._find_one_by_one(first // 4, count)
+            self.end = 4 * int(self.starts[-1]) + forms.all[self.forms[-1]].size
+            if self.end > limit:
+                raise WireError(f'{_ELEMENT.path} ends at byte {self.end} of {limit}')
 
     def _find_header(self) -> _HeaderForm:
         """Find the form of the message's header."""
@@ -500,13 +614,12 @@ class _Finder:
         # This says what is wrong.
         return self._walk.count(_ELEMENT, self.header.end).lengths[0][1]
 
-    def _find_all(self, word: int, count: int) -> None:
-        """Go from detection to detection, in leaps where many in a row have one form."""
+    def _find_one_by_one(self, word: int, count: int) -> None:
+        """Go from detection to detection."""
         words, known, strides = self._words, self._memory.known, self._memory.strides
         starts: list[int] = []
         forms: list[int] = []
-        left, alike, wanted, last = count, 0, 3, -1
-        while left:
+        for _ in range(count):
             place, values, more = known[word & 1]
             try:
                 while more:
@@ -517,56 +630,47 @@ class _Finder:
             starts.append(word)
             forms.append(form)
             word += strides[form]
-            left -= 1
-            if form != last:
-                alike, last = 1, form
-                continue
-            alike += 1
-            if alike >= wanted and left >= _MIN_RUN:
-                leap = self._leap(word, form, left)
-                if leap:
-                    self._note(starts, forms)
-                    starts, forms = [], []
-                    self._blocks.append((
-                        word + strides[form] * np.arange(leap), np.full(leap, form, np.int64)
-                    ))
-                    word += strides[form] * leap
-                    left -= leap
-                # Where runs are short, looking for them is dearer than what they save.
-                wanted, alike = (1, 0) if leap >= _MIN_RUN else (3 * wanted, 0)
-        self._note(starts, forms)
-        self.end = 4 * (word - strides[form]) + self._memory.all[form].size
-        if self.end > self._limit:
-            raise WireError(f'{_ELEMENT.path} ends at byte {self.end} of {self._limit}')
+        self.starts, self.forms = np.array(starts, np.int64), np.array(forms, np.int64)
 
-    def _note(self, starts: list[int], forms: list[int]) -> None:
-        """Write down what was found one by one."""
-        if starts:
-            self._blocks.append((np.array(starts, np.int64), np.array(forms, np.int64)))
+    def _find_at_once(self, first: int, count: int) -> bool:
+        """
+        Find detections that all have the frame_id of the first and as many results; or give up.
 
-    def _leap(self, word: int, form: int, most: int) -> int:
-        """Tell how many detections from `word` on have a form, up to `most`."""
-        found = self._memory.all[form]
-        step = found.stride // 4
-        most = min(most, (self._limit - 4 * word - found.size) // found.stride + 1)
-        # Four bytes on, another form holds for the same lengths.
-        if step % 2 or most < _MIN_RUN:
-            return 0
-        alike = np.ones(most, np.bool_)
+        Wherever these two are, a detection may start. That they do start there is certain if each
+        ends where the next one starts.
+        """
+        tables = self._memory.tables()
+        if tables is None:
+            return False
         words = np.asarray(self._words)
-        for at, length in found.lengths:
-            first = word + at // 4
-            alike &= words[first : first + step * (most - 1) + 1 : step] == length
-        return most if alike.all() else int(alike.argmin())
+        try:
+            starts, lengths = self._likely_starts(words, first)
+            forms = tables.forms(words, starts, lengths) if len(starts) == count else None
+        except IndexError:
+            return False
+        if forms is None:
+            return False
+        ends = starts + self._memory.places().stride[forms]
+        if starts[0] != first or (ends[:-1] != starts[1:]).any():
+            return False
+        self.starts, self.forms = starts, forms
+        return True
 
-    def _joined(self) -> tuple[IntArray, IntArray]:
-        """Join what was found."""
-        if len(self._blocks) == 1:
-            return self._blocks[0]
-        if not self._blocks:
-            return np.empty(0, np.int64), np.empty(0, np.int64)
-        starts, forms = zip(*self._blocks, strict=True)
-        return np.concatenate(starts), np.concatenate(forms)
+    def _likely_starts(
+        self, words: NDArray[np.uint32], first: int
+    ) -> tuple[IntArray, tuple[int, int]]:
+        """Find where the frame_id and the number of results of the first detection are again."""
+        frame_at = _FRAME_ID // 4
+        frame_id = int(words[first + frame_at])
+        # What is left of the last word is padding.
+        whole = min(frame_id // 4, _MOST_WORDS)
+        results_at = frame_at + 1 + _aligned(frame_id, 4) // 4
+        results = int(words[first + results_at])
+        reach = len(words) - first - results_at
+        alike = words[first + results_at :] == results
+        for at in range(frame_at, frame_at + 1 + whole):
+            alike &= words[first + at : first + at + reach] == words[first + at]
+        return np.flatnonzero(alike) + first, (frame_id, results)
 
 
 class Detections:
@@ -608,22 +712,16 @@ class Detections:
             raise NotPlainCdrError(f'{limit - found.end} bytes behind the message')
         # The memory may be emptied for a later message; what this one needs stays.
         self._forms, self._places = forms.all, forms.places()
-        self._bytes = np.frombuffer(self._buffer, np.uint8, offset=_BODY)
-        self._numbers = np.frombuffer(self._buffer, '<f8', offset=_BODY)
+        self._numbers = np.frombuffer(self._buffer, _FLOAT, offset=_BODY)
         if order == '>':
             self._turn_around()
         self._buffer[ENCAPSULATION:_BODY] = _LITTLE_ENDIAN
         self._blank_padding()
-        boxes_at = (found.starts + self._places.box[found.forms]) // 2
-        self._boxes_at = boxes_at + _XYWHR
+        self._boxes_at = self._places.box.take(found.forms, axis=1) + (found.starts >> 1)
 
     def __len__(self) -> int:
         """Count the detections."""
         return len(self._found.starts)
-
-    def _at(self, table: IntArray) -> IntArray:
-        """Tell where a field of each detection lies, in words, by one of the tables of places."""
-        return self._found.starts + table[self._found.forms]
 
     @property
     def stamp(self) -> tuple[int, int]:
@@ -655,7 +753,9 @@ class Detections:
         """
         places = self._places
         if places.all_single:
-            return 4 * self._at(places.class_id), self._numbers[self._at(places.score) // 2]
+            starts, forms = self._found.starts, self._found.forms
+            scores = self._numbers[(starts >> 1) + places.score[forms]]
+            return 4 * starts + places.class_id[forms], scores
         scores = np.full(len(self), np.nan)
         classes_at = np.zeros(len(self), np.int64)
         for form, rows in self._rows_by_form():
@@ -689,16 +789,16 @@ class Detections:
             for at, length in zip(classes_at.tolist(), lengths.tolist(), strict=True)
         ]
 
-    def rewrite(self, xywh: FloatArray, rows: NDArray[np.bool_] | None = None) -> bytes:
+    def rewrite(self, sizes: FloatArray, rows: NDArray[np.bool_] | None = None) -> bytes:
         """
-        Give the message with other boxes; all else is as it was.
+        Give the message with axis-aligned boxes about the same centres; all else is as it was.
 
         The boxes of this object change as well.
 
         Parameters
         ----------
-        xywh : ndarray, shape (N, 4)
-            Centre x and y, size x and y of the axis-aligned boxes, pixels.
+        sizes : ndarray, shape (2, N)
+            Size x and y of the axis-aligned boxes, pixels.
         rows : ndarray of bool, shape (N,), optional
             Which detections get them; the others keep their oriented box.
 
@@ -707,10 +807,12 @@ class Detections:
         bytes
             The serialized message, little-endian.
         """
-        if rows is None:
-            _write_boxes(self._numbers, self._boxes_at, xywh)
-        else:
-            _write_boxes(self._numbers, self._boxes_at[:, rows], xywh[rows])
+        # Behind the sizes comes theta.
+        written, boxes_at = np.zeros((3, len(self))), self._boxes_at[2:]
+        written[:2] = sizes
+        if rows is not None:
+            written, boxes_at = written[:, rows], boxes_at[:, rows]
+        self._numbers[boxes_at] = written
         return _message(self._buffer, self._found.end)
 
     def selected(self, rows: IntArray, xywh: FloatArray) -> bytes:
@@ -816,21 +918,30 @@ class Detections:
         for rows in np.split(order, bounds) if len(order) else ():
             yield self._forms[forms[rows[0]]], rows
 
+    def _body(self) -> NDArray[np.uint8]:
+        """View the message behind its encapsulation header."""
+        return np.frombuffer(self._buffer, np.uint8, offset=_BODY)
+
     def _blank_padding(self) -> None:
         """Zero the bytes between fields: what writers leave there is whatever their memory held."""
         for at in self._found.header.padding:
             self._buffer[_BODY + at] = 0
-        if not len(self):
+        starts, forms, table = self._found.starts, self._found.forms, self._places.padding
+        if len(starts) < _FEW:
+            for start, form in zip(starts.tolist(), forms.tolist(), strict=True):
+                for at in self._forms[form].padding.tolist():
+                    self._buffer[_BODY + 4 * start + at] = 0
             return
-        if self._places.padding is None:
+        body = self._body()
+        if table is None:
             for form, rows in self._rows_by_form():
-                self._bytes[4 * self._found.starts[rows, None] + form.padding] = 0
-            return
-        padding = self._places.padding[self._found.forms]
-        at = padding + 4 * self._found.starts[:, None]
-        if self._places.some_unpadded:
-            at = at[padding[:, 0] >= 0]
-        self._bytes[at] = 0
+                body[4 * starts[rows, None] + form.padding] = 0
+        else:
+            padding = table[forms]
+            at = padding + 4 * starts[:, None]
+            if self._places.some_unpadded:
+                at = at[padding[:, 0] >= 0]
+            body[at] = 0
 
     def _turn_around(self) -> None:
         """Turn the bytes of every number around, from big-endian to little-endian."""
@@ -839,8 +950,9 @@ class Detections:
             starts = 4 * self._found.starts[rows, None]
             for size, relative in form.swaps.items():
                 places[size].append((starts + relative).ravel())
+        body = self._body()
         for size, parts in places.items():
-            numbers = self._bytes.view(f'u{size}')
+            numbers = body.view(f'u{size}')
             at = np.concatenate(parts) // size
             numbers[at] = numbers[at].byteswap()
 
@@ -854,7 +966,7 @@ def _ending(chunks: list[Any], end: int, boxes_at: list[int], xywh: FloatArray) 
     """Make a message of chunks that hold `end` bytes, with boxes at the bytes given."""
     chunks.append(_PADDING)
     buffer = bytearray().join(chunks)
-    numbers = np.frombuffer(buffer, '<f8', _aligned(end, 8) // 8, _BODY)
+    numbers = np.frombuffer(buffer, _FLOAT, _aligned(end, 8) // 8, _BODY)
     _write_boxes(numbers, np.array(boxes_at, np.int64) // 8 + _XYWHR, xywh)
     return _message(buffer, end)
 
@@ -978,4 +1090,4 @@ def canonical(data: bytes) -> bytes:
     """
     detections = Detections(data)
     nothing = np.zeros(len(detections), np.bool_)
-    return detections.rewrite(np.empty((len(detections), 4)), nothing)
+    return detections.rewrite(np.zeros((2, len(detections))), nothing)

@@ -93,13 +93,14 @@ class WireFrame:
 
     def boxes_message(self, center: FloatArray, extents: FloatArray, keep_invalid: bool) -> bytes:
         """See `Frame`."""
-        xywh = np.concatenate((center, 2.0 * extents)).T
+        sizes = 2.0 * extents
         # NaN passes through the maximum, and compares as false.
         if np.maximum.reduce(extents[0], initial=0.0) < np.inf:
-            return self._detections.rewrite(xywh)
+            return self._detections.rewrite(sizes)
         valid = np.isfinite(extents[0])
         if keep_invalid:
-            return self._detections.rewrite(xywh, valid)
+            return self._detections.rewrite(sizes, valid)
+        xywh = np.concatenate((center, sizes)).T
         return self._detections.selected(np.flatnonzero(valid), xywh[valid])
 
     def crops_message(self, plan: CropPlan) -> bytes:

@@ -54,14 +54,16 @@ def check(data: bytes) -> str:
     assert len(found.class_ids(places)) == len(scores) == count
     boxes_at = [4 + 8 * int(at) for at in found._boxes_at[0]]
     plain, rows = canonical(data), np.arange(4.0 * count).reshape(-1, 4) - 0.5
-    written = found.rewrite(rows)
+    centers, written = found.xywhr()[:, :2], found.rewrite(rows[:, 2:].T)
     assert len(plain) == len(written)
     outside_plain, outside_written = bytearray(plain), bytearray(written)
     for at in boxes_at:
-        outside_plain[at : at + 40] = outside_written[at : at + 40] = bytes(40)
+        # Theta and the sizes lie behind the centre.
+        outside_plain[at + 16 : at + 40] = outside_written[at + 16 : at + 40] = bytes(24)
     assert outside_plain == outside_written, 'changed outside the box fields'
     again = Detections(written, FORMS).xywhr()
-    np.testing.assert_array_equal(again[:, :4], rows)
+    np.testing.assert_array_equal(again[:, :2], centers)
+    np.testing.assert_array_equal(again[:, 2:4], rows[:, 2:])
     chosen = np.arange(count)[::-2]
     selected = Detections(found.selected(chosen, rows[chosen]), FORMS)
     np.testing.assert_array_equal(selected.xywhr()[:, :4], rows[chosen])
@@ -80,7 +82,7 @@ def seed_message(source: random.Random) -> bytes:
         )
         for _ in range(source.randint(1, 3))
     ]
-    detections = tuple(source.choice(kinds) for _ in range(source.choice([0, 1, 2, 3, 20])))
+    detections = tuple(source.choice(kinds) for _ in range(source.choice([0, 1, 2, 3, 20, 70])))
     message = Message(frame_id=source.choice(TEXTS), detections=detections)
     return encode(message, source.choice('<>'), source.choice([0, 0xA5]))
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cdr import DETECTIONS
 from cdr import MESSAGES
 from cdr import Detection
 from cdr import Hypothesis
@@ -35,6 +36,11 @@ def boxes(count):
     return np.arange(4.0 * count).reshape(-1, 4) + 0.25
 
 
+def resized(detection, row):
+    """Give a detection the size of an axis-aligned box, about the centre that it has."""
+    return with_box(detection, (*detection.bbox[:2], *row[2:]))
+
+
 @ORDERS
 @given(message=MESSAGES, padding=PADDING, trailing=st.integers(0, 3))
 def test_boxes_are_read(order, message, padding, trailing) -> None:
@@ -48,8 +54,8 @@ def test_boxes_are_read(order, message, padding, trailing) -> None:
 @given(message=MESSAGES, padding=PADDING)
 def test_rewriting_changes_the_boxes_and_nothing_else(order, message, padding) -> None:
     rows = boxes(len(message.detections))
-    rewritten = Detections(encode(message, order, padding), FORMS).rewrite(rows)
-    changed = tuple(map(with_box, message.detections, rows))
+    rewritten = Detections(encode(message, order, padding), FORMS).rewrite(rows[:, 2:].T)
+    changed = tuple(map(resized, message.detections, rows))
     assert rewritten == encode(replace(message, detections=changed))
 
 
@@ -59,9 +65,9 @@ def test_detections_that_are_not_named_keep_their_box(order, message, padding, d
     count = len(message.detections)
     named = np.array(data.draw(st.lists(st.booleans(), min_size=count, max_size=count)), bool)
     rows = boxes(count)
-    rewritten = Detections(encode(message, order, padding), FORMS).rewrite(rows, named)
+    rewritten = Detections(encode(message, order, padding), FORMS).rewrite(rows[:, 2:].T, named)
     changed = tuple(
-        with_box(detection, row) if is_named else detection
+        resized(detection, row) if is_named else detection
         for detection, row, is_named in zip(message.detections, rows, named, strict=True)
     )
     assert rewritten == encode(replace(message, detections=changed))
@@ -143,9 +149,83 @@ def test_long_messages_of_few_kinds_are_read_whole(count, kinds) -> None:
     found = Detections(encode(message))
     np.testing.assert_array_equal(found.xywhr()[:, 0], np.arange(count))
     rows = boxes(count)
-    assert found.rewrite(rows) == encode(
-        replace(message, detections=tuple(map(with_box, detections, rows)))
+    assert found.rewrite(rows[:, 2:].T) == encode(
+        replace(message, detections=tuple(map(resized, detections, rows)))
     )
+
+
+@ORDERS
+@given(
+    kinds=st.lists(DETECTIONS, min_size=1, max_size=3),
+    picks=st.lists(st.integers(0, 2), min_size=1, max_size=200),
+    padding=PADDING,
+    trailing=st.integers(0, 3),
+)
+def test_a_message_is_read_the_same_once_its_forms_are_known(
+    order, kinds, picks, padding, trailing
+) -> None:
+    detections = tuple(kinds[pick % len(kinds)] for pick in picks)
+    message = Message(detections=detections)
+    data = encode(message, order, padding) + bytes(trailing)
+    rows = boxes(len(detections))
+    expected = encode(replace(message, detections=tuple(map(resized, detections, rows))))
+    forms = Forms()
+    for _ in range(3):
+        assert Detections(data, forms).rewrite(rows[:, 2:].T) == expected
+
+
+@ORDERS
+@pytest.mark.parametrize('frame_id', ['', 'abc', 'camera', 'x' * 99])
+@pytest.mark.parametrize('results', [0, 1, 2])
+@pytest.mark.parametrize('class_ids', [('ship', 'tug', 'tanker'), ('', '1')])
+def test_many_detections_of_known_forms_take_no_step_for_each(
+    monkeypatch, order, frame_id, results, class_ids
+) -> None:
+    detections = tuple(
+        Detection(
+            stamp=(1_800_000_000, i), frame_id=frame_id, id=str(i * i % 50),
+            bbox=(float(i), 1.0, 2.0, 3.0, 4.0),
+            results=tuple(Hypothesis(class_ids[i % len(class_ids)], 0.5) for _ in range(results)),
+        )
+        for i in range(300)
+    )
+    data, forms = encode(Message(detections=detections), order, 0xA5), Forms()
+    first = Detections(data, forms).xywhr()
+    monkeypatch.delattr('obbhbb_ros.wire._Finder._find_one_by_one')
+    np.testing.assert_array_equal(Detections(data, forms).xywhr(), first)
+
+
+@pytest.mark.parametrize(
+    'odd_one',
+    [
+        Detection(frame_id='other'), Detection(results=(Hypothesis(),) * 2),
+        Detection(id='y' * 130), Detection(results=(Hypothesis('z' * 130),)), Detection(id='new'),
+    ],
+)
+def test_one_detection_unlike_the_others_is_found_among_many(odd_one) -> None:
+    alike = (Detection(results=(Hypothesis(),)),) * 100
+    forms = Forms()
+    for detections in (alike, (*alike, odd_one, *alike)) * 3:
+        message = Message(detections=detections)
+        rows = boxes(len(detections))
+        assert Detections(encode(message), forms).rewrite(rows[:, 2:].T) == encode(
+            replace(message, detections=tuple(map(resized, detections, rows)))
+        )
+
+
+def test_what_looks_like_a_detection_within_another_does_not_mislead() -> None:
+    # The numbers of a hypothesis hold what the first words of a detection hold.
+    inner = struct.unpack('<2d', struct.pack('<4I', 0, 0, 2, 0x61))
+    alike = Detection(frame_id='a', results=(Hypothesis(),))
+    bait = Detection(frame_id='a', results=(Hypothesis(pose=(*inner, 5e-324, *[0.0] * 40)),))
+    forms = Forms()
+    for detections in ((alike,) * 100, (bait,) * 100, (alike, bait) * 50, (bait, alike) * 50):
+        message = Message(detections=detections)
+        rows = boxes(len(detections))
+        for _ in range(2):
+            assert Detections(encode(message), forms).rewrite(rows[:, 2:].T) == encode(
+                replace(message, detections=tuple(map(resized, detections, rows)))
+            )
 
 
 def test_a_form_of_another_message_does_not_mislead() -> None:
@@ -187,8 +267,10 @@ def test_damaged_bytes_raise_the_documented_error_or_are_read(message, data) -> 
         return
     # What can be read can be written, and is read again with the boxes that were written.
     rows = boxes(len(found))
-    again = Detections(found.rewrite(rows), FORMS).xywhr()
-    np.testing.assert_array_equal(again[:, :4], rows)
+    centers = found.xywhr()[:, :2]
+    again = Detections(found.rewrite(rows[:, 2:].T), FORMS).xywhr()
+    np.testing.assert_array_equal(again[:, :2], centers)
+    np.testing.assert_array_equal(again[:, 2:4], rows[:, 2:])
     np.testing.assert_array_equal(again[:, 4], 0.0)
 
 
@@ -239,7 +321,7 @@ def test_the_bytes_given_are_never_changed() -> None:
     data = bytearray(encode(Message(detections=(Detection(),)), padding=0xA5))
     before = bytes(data)
     found = Detections(bytes(data))
-    found.rewrite(boxes(1))
+    found.rewrite(boxes(1)[:, 2:].T)
     assert bytes(data) == before
 
 
