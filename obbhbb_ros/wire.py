@@ -266,7 +266,14 @@ class _Form:
         self.swaps = _numbers_by_size(trace, start)
         padding = [at - start for at in trace.padding]
         self.padding = np.array([*padding, *range(self.size, self.stride)], np.int64)
+        self.gaps = _runs(self.padding)
         self.moved = _moved(trace, start)
+
+
+def _runs(places: IntArray) -> list[tuple[int, int]]:
+    """Write rising numbers as runs, from the first to behind the last of each."""
+    runs = np.split(places, np.flatnonzero(np.diff(places) > 1) + 1) if places.size else []
+    return [(int(run[0]), int(run[-1]) + 1) for run in runs]
 
 
 @dataclass(frozen=True)
@@ -331,7 +338,7 @@ _UNKNOWN = np.iinfo(np.int32).min
 # So many words of a frame_id are compared.
 _MOST_WORDS = 4
 # Fewer detections than this are seen to one by one in less time than NumPy takes.
-_FEW = 8
+_FEW = 16
 _MOST_PADDING = 64
 _BYTE_ORDER = '<' if sys.byteorder == 'little' else '>'
 
@@ -581,7 +588,6 @@ class _Finder:
         # Reading an element of a memoryview takes a third of the time of a NumPy scalar.
         self._words = words
         self._limit = limit
-        self._walk = _Walk(words, limit)
         self._memory = forms
         self.header = self._find_header()
         first = self.header.count_at + 4
@@ -594,6 +600,11 @@ class _Finder:
             self.end = 4 * int(self.starts[-1]) + forms.all[self.forms[-1]].size
             if self.end > limit:
                 raise WireError(f'{_ELEMENT.path} ends at byte {self.end} of {limit}')
+
+    @property
+    def _walk(self) -> _Walk:
+        """Go through what is not known yet, field by field."""
+        return _Walk(self._words, self._limit)
 
     def _find_header(self) -> _HeaderForm:
         """Find the form of the message's header."""
@@ -789,7 +800,7 @@ class Detections:
             for at, length in zip(classes_at.tolist(), lengths.tolist(), strict=True)
         ]
 
-    def rewrite(self, sizes: FloatArray, rows: NDArray[np.bool_] | None = None) -> bytes:
+    def rewrite(self, extents: FloatArray, rows: NDArray[np.bool_] | None = None) -> bytes:
         """
         Give the message with axis-aligned boxes about the same centres; all else is as it was.
 
@@ -797,8 +808,8 @@ class Detections:
 
         Parameters
         ----------
-        sizes : ndarray, shape (2, N)
-            Size x and y of the axis-aligned boxes, pixels.
+        extents : ndarray, shape (2, N)
+            Half-extents of the axis-aligned boxes along x and y, pixels.
         rows : ndarray of bool, shape (N,), optional
             Which detections get them; the others keep their oriented box.
 
@@ -809,7 +820,7 @@ class Detections:
         """
         # Behind the sizes comes theta.
         written, boxes_at = np.zeros((3, len(self))), self._boxes_at[2:]
-        written[:2] = sizes
+        np.multiply(extents, 2.0, out=written[:2])
         if rows is not None:
             written, boxes_at = written[:, rows], boxes_at[:, rows]
         self._numbers[boxes_at] = written
@@ -929,8 +940,9 @@ class Detections:
         starts, forms, table = self._found.starts, self._found.forms, self._places.padding
         if len(starts) < _FEW:
             for start, form in zip(starts.tolist(), forms.tolist(), strict=True):
-                for at in self._forms[form].padding.tolist():
-                    self._buffer[_BODY + 4 * start + at] = 0
+                at = _BODY + 4 * start
+                for begin, behind in self._forms[form].gaps:
+                    self._buffer[at + begin : at + behind] = _PADDING[: behind - begin]
             return
         body = self._body()
         if table is None:

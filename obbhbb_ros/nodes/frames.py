@@ -40,7 +40,9 @@ class Frame(Protocol):
     def scores(self) -> FloatArray:
         """Read the score of each detection's best hypothesis, NaN where there is none; (N,)."""
 
-    def boxes_message(self, center: FloatArray, extents: FloatArray, keep_invalid: bool) -> bytes:
+    def boxes_message(
+        self, boxes: OrientedBoxes, extents: FloatArray, keep_invalid: bool
+    ) -> bytes:
         """Write the message with axis-aligned boxes; a NaN extent keeps or drops its detection."""
 
     def crops_message(self, plan: CropPlan) -> bytes:
@@ -91,16 +93,16 @@ class WireFrame:
         scores: FloatArray = self._best()[1]
         return scores
 
-    def boxes_message(self, center: FloatArray, extents: FloatArray, keep_invalid: bool) -> bytes:
+    def boxes_message(
+        self, boxes: OrientedBoxes, extents: FloatArray, keep_invalid: bool
+    ) -> bytes:
         """See `Frame`."""
-        sizes = 2.0 * extents
-        # NaN passes through the maximum, and compares as false.
-        if np.maximum.reduce(extents[0], initial=0.0) < np.inf:
-            return self._detections.rewrite(sizes)
+        if boxes.tame:
+            return self._detections.rewrite(extents)
         valid = np.isfinite(extents[0])
-        if keep_invalid:
-            return self._detections.rewrite(sizes, valid)
-        xywh = np.concatenate((center, sizes)).T
+        if keep_invalid or valid.all():
+            return self._detections.rewrite(extents, valid)
+        xywh = np.concatenate((boxes.center, 2.0 * extents)).T
         return self._detections.selected(np.flatnonzero(valid), xywh[valid])
 
     def crops_message(self, plan: CropPlan) -> bytes:
@@ -165,10 +167,12 @@ class TypedFrame:
         scores: FloatArray = self._best()[1]
         return scores
 
-    def boxes_message(self, center: FloatArray, extents: FloatArray, keep_invalid: bool) -> bytes:
-        """See `Frame`; changes the message, so it comes last."""
-        messages.write_boxes(self._message, center, extents, keep_invalid)
-        return canonical(serialize_message(self._message))
+    def boxes_message(
+        self, boxes: OrientedBoxes, extents: FloatArray, keep_invalid: bool
+    ) -> bytes:
+        """See `Frame`."""
+        message = messages.boxes_message(self._message, boxes.center, extents, keep_invalid)
+        return canonical(serialize_message(message))
 
     def crops_message(self, plan: CropPlan) -> bytes:
         """See `Frame`."""

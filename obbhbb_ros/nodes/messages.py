@@ -125,28 +125,35 @@ def rules_of(class_ids: Sequence[str], rule_of_class: Any) -> NDArray[np.intp]:
     return np.array([rule_of_class.get(class_id, 0) for class_id in class_ids], np.intp)
 
 
-def write_boxes(
+def boxes_message(
     message: Detection2DArray, center: FloatArray, extents: FloatArray, keep_invalid: bool
-) -> None:
+) -> Detection2DArray:
     """
-    Turn a message's oriented boxes into axis-aligned ones, in place.
+    Write axis-aligned boxes as a message.
 
     Parameters
     ----------
     message : Detection2DArray
-        N detections.
+        N detections, whose own boxes are changed.
     center, extents : ndarray, shape (2, N)
         Centres and half-extents, pixels; NaN columns for what could not be converted.
     keep_invalid : bool
         Whether those detections stay as they are, or are left out.
+
+    Returns
+    -------
+    Detection2DArray
+        The detections with their new boxes.
     """
-    valid = np.isfinite(extents[0])
+    valid = np.isfinite(extents[0]).tolist()
     rows = np.concatenate((center, 2.0 * extents)).T.tolist()
-    for detection, row, ok in zip(message.detections, rows, valid.tolist(), strict=True):
+    for detection, row, ok in zip(message.detections, rows, valid, strict=True):
         if ok:
             _place(detection.bbox, *row)
-    if not keep_invalid and not valid.all():
-        message.detections = [d for d, ok in zip(message.detections, valid, strict=True) if ok]
+    if keep_invalid or all(valid):
+        return message
+    kept = [each for each, ok in zip(message.detections, valid, strict=True) if ok]
+    return Detection2DArray(header=message.header, detections=kept)
 
 
 def crop_message(message: Detection2DArray, plan: CropPlan) -> Detection2DArray:

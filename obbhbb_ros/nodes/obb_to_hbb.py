@@ -154,14 +154,13 @@ class ObbToHbb(ManagedNode[Settings]):
         if settings.rule_of_class:
             rule_of = messages.rules_of(frame.class_ids(), settings.rule_of_class)
         extents = half_extents(boxes, settings.rules, rule_of, settings.caps)
+        if wants_boxes:
+            message = frame.boxes_message(boxes, extents, settings.keep_invalid)
+            self._boxes_publisher.publish(message)
         planner = self._planner(frame, boxes, rule_of, settings) if wants_crops else None
         if planner is not None:
             plan = planner(extents)
             self._crops_publisher.publish(frame.crops_message(plan))
-        if wants_boxes:
-            self._boxes_publisher.publish(
-                frame.boxes_message(boxes.center, extents, settings.keep_invalid)
-            )
         # Last: whoever waits for the answer does not wait for this.
         self._count(frame, boxes, extents, settings)
         if planner is not None:
@@ -217,6 +216,8 @@ class ObbToHbb(ManagedNode[Settings]):
         """Count a message's detections, and tell of those that cannot be converted."""
         self._monitor.add('messages_converted')
         self._monitor.add('detections_received', len(boxes))
+        if boxes.tame:
+            return
         invalid = np.flatnonzero(np.isnan(extents[0]))
         if not invalid.size:
             return

@@ -54,7 +54,7 @@ def check(data: bytes) -> str:
     assert len(found.class_ids(places)) == len(scores) == count
     boxes_at = [4 + 8 * int(at) for at in found._boxes_at[0]]
     plain, rows = canonical(data), np.arange(4.0 * count).reshape(-1, 4) - 0.5
-    centers, written = found.xywhr()[:, :2], found.rewrite(rows[:, 2:].T)
+    centers, written = found.xywhr()[:, :2], found.rewrite(rows[:, 2:].T / 2)
     assert len(plain) == len(written)
     outside_plain, outside_written = bytearray(plain), bytearray(written)
     for at in boxes_at:

@@ -41,8 +41,8 @@ def outputs(frame, theta_scale, keep_invalid, crop):
     extents = half_extents(boxes, RULES, rule_of)
     weights = np.where(rule_of == 1, 3.0, 1.0)
     plan = plan_crops(to_xyxy(boxes.center, extents), scores, (1920, 1080), crop, weights)
+    written = frame.boxes_message(boxes, extents, keep_invalid)
     crops = frame.crops_message(plan)
-    written = frame.boxes_message(boxes.center, extents, keep_invalid)
     return frame.stamp, class_ids, scores.tolist(), crops, written
 
 

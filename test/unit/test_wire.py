@@ -54,7 +54,7 @@ def test_boxes_are_read(order, message, padding, trailing) -> None:
 @given(message=MESSAGES, padding=PADDING)
 def test_rewriting_changes_the_boxes_and_nothing_else(order, message, padding) -> None:
     rows = boxes(len(message.detections))
-    rewritten = Detections(encode(message, order, padding), FORMS).rewrite(rows[:, 2:].T)
+    rewritten = Detections(encode(message, order, padding), FORMS).rewrite(rows[:, 2:].T / 2)
     changed = tuple(map(resized, message.detections, rows))
     assert rewritten == encode(replace(message, detections=changed))
 
@@ -65,7 +65,7 @@ def test_detections_that_are_not_named_keep_their_box(order, message, padding, d
     count = len(message.detections)
     named = np.array(data.draw(st.lists(st.booleans(), min_size=count, max_size=count)), bool)
     rows = boxes(count)
-    rewritten = Detections(encode(message, order, padding), FORMS).rewrite(rows[:, 2:].T, named)
+    rewritten = Detections(encode(message, order, padding), FORMS).rewrite(rows[:, 2:].T / 2, named)
     changed = tuple(
         resized(detection, row) if is_named else detection
         for detection, row, is_named in zip(message.detections, rows, named, strict=True)
@@ -149,7 +149,7 @@ def test_long_messages_of_few_kinds_are_read_whole(count, kinds) -> None:
     found = Detections(encode(message))
     np.testing.assert_array_equal(found.xywhr()[:, 0], np.arange(count))
     rows = boxes(count)
-    assert found.rewrite(rows[:, 2:].T) == encode(
+    assert found.rewrite(rows[:, 2:].T / 2) == encode(
         replace(message, detections=tuple(map(resized, detections, rows)))
     )
 
@@ -171,7 +171,7 @@ def test_a_message_is_read_the_same_once_its_forms_are_known(
     expected = encode(replace(message, detections=tuple(map(resized, detections, rows))))
     forms = Forms()
     for _ in range(3):
-        assert Detections(data, forms).rewrite(rows[:, 2:].T) == expected
+        assert Detections(data, forms).rewrite(rows[:, 2:].T / 2) == expected
 
 
 @ORDERS
@@ -208,7 +208,7 @@ def test_one_detection_unlike_the_others_is_found_among_many(odd_one) -> None:
     for detections in (alike, (*alike, odd_one, *alike)) * 3:
         message = Message(detections=detections)
         rows = boxes(len(detections))
-        assert Detections(encode(message), forms).rewrite(rows[:, 2:].T) == encode(
+        assert Detections(encode(message), forms).rewrite(rows[:, 2:].T / 2) == encode(
             replace(message, detections=tuple(map(resized, detections, rows)))
         )
 
@@ -223,7 +223,7 @@ def test_what_looks_like_a_detection_within_another_does_not_mislead() -> None:
         message = Message(detections=detections)
         rows = boxes(len(detections))
         for _ in range(2):
-            assert Detections(encode(message), forms).rewrite(rows[:, 2:].T) == encode(
+            assert Detections(encode(message), forms).rewrite(rows[:, 2:].T / 2) == encode(
                 replace(message, detections=tuple(map(resized, detections, rows)))
             )
 
@@ -268,7 +268,7 @@ def test_damaged_bytes_raise_the_documented_error_or_are_read(message, data) -> 
     # What can be read can be written, and is read again with the boxes that were written.
     rows = boxes(len(found))
     centers = found.xywhr()[:, :2]
-    again = Detections(found.rewrite(rows[:, 2:].T), FORMS).xywhr()
+    again = Detections(found.rewrite(rows[:, 2:].T / 2), FORMS).xywhr()
     np.testing.assert_array_equal(again[:, :2], centers)
     np.testing.assert_array_equal(again[:, 2:4], rows[:, 2:])
     np.testing.assert_array_equal(again[:, 4], 0.0)
@@ -321,7 +321,7 @@ def test_the_bytes_given_are_never_changed() -> None:
     data = bytearray(encode(Message(detections=(Detection(),)), padding=0xA5))
     before = bytes(data)
     found = Detections(bytes(data))
-    found.rewrite(boxes(1)[:, 2:].T)
+    found.rewrite(boxes(1)[:, 2:].T / 2)
     assert bytes(data) == before
 
 
