@@ -189,10 +189,14 @@ def plan_crops(
         # So far out no pixel is left to tell apart, and no difference below overflows.
         boxes = np.clip(boxes[:, rows], -_FARTHEST, _FARTHEST)
     left_out = {LeftOut.INVALID: len(xyxy) - len(rows)}
-    corners, inside = _regions(boxes, image_size, settings)
+    bounds = np.array((*image_size, *image_size), dtype=np.float64)[:, None]
+    # A box is worth a region for its own pixels, not for its padding.
+    inside = np.concatenate((boxes[2:] > 0.0, boxes[:2] < bounds[:2]))
     if not inside.all():
-        left_out[LeftOut.OUTSIDE] = len(rows) - int(np.count_nonzero(inside))
-        rows, boxes, corners = rows[inside], boxes[:, inside], corners[:, inside]
+        meets = np.logical_and.reduce(inside)
+        left_out[LeftOut.OUTSIDE] = len(rows) - int(np.count_nonzero(meets))
+        rows, boxes = rows[meets], boxes[:, meets]
+    corners = _regions(boxes, bounds, settings)
     # NaN is less than any number.
     values = np.fmax(scores[rows] if weights is None else scores[rows] * weights[rows], -np.inf)
     order = _by_value(values, corners, boxes)
@@ -288,19 +292,20 @@ def _pixels(corners: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _regions(
-    boxes: FloatArray, image_size: tuple[int, int], settings: CropSettings
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Pad, clip, round outwards and fit to size, (4, N); also tell which boxes meet the image."""
-    bounds = np.array(image_size, dtype=np.float64)[:, None]
-    low, high = boxes[:2], boxes[2:]
-    # A box is worth a region for its own pixels, not for its padding.
-    inside: NDArray[np.bool_] = np.logical_and.reduce((high > 0.0) & (low < bounds))
+    boxes: FloatArray, bounds: FloatArray, settings: CropSettings
+) -> NDArray[np.int64]:
+    """Pad, clip to 0 and `bounds`, (4, 1), round outwards and fit to size; all (4, N)."""
     if settings.padding or settings.padding_px:
-        margin = settings.padding * (high - low) + settings.padding_px
-        low, high = low - margin, high + margin
-    low = np.floor(np.minimum(np.maximum(low, 0.0), bounds))
-    high = np.ceil(np.minimum(np.maximum(high, 0.0), bounds))
-    return np.concatenate(_fit_sizes(low, high, bounds, settings)).astype(np.int64), inside
+        margin = settings.padding * (boxes[2:] - boxes[:2]) + settings.padding_px
+        boxes = np.concatenate((boxes[:2] - margin, boxes[2:] + margin))
+    corners = np.minimum(np.maximum(boxes, 0.0), bounds)
+    low, high = corners[:2], corners[2:]
+    np.floor(low, out=low)
+    np.ceil(high, out=high)
+    fitted = _fit_sizes(low, high, bounds[:2], settings)
+    if fitted[0] is not low:
+        corners = np.concatenate(fitted)
+    return corners.astype(np.int64)
 
 
 def _fit_sizes(

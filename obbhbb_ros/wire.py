@@ -529,7 +529,7 @@ class _Tables:
         """
         if lengths not in self.roots:
             return None
-        nodes = self.roots[lengths][starts & 1]
+        nodes = self.roots[lengths].take(starts & 1)
         while True:
             lowest = nodes.min()
             if lowest == _UNKNOWN:
@@ -537,7 +537,7 @@ class _Tables:
             if lowest < 0:
                 # The results of all are equal in number, and so are the lengths that lie ahead.
                 return ~nodes
-            found = words[starts + self._places[nodes]]
+            found = words[starts + self._places.take(nodes)]
             if found.max() >= _LONG:
                 return None
             nodes = self._nexts[nodes, found]
@@ -653,7 +653,7 @@ class _Finder:
         tables = self._memory.tables()
         if tables is None:
             return False
-        words = np.asarray(self._words)
+        words = np.frombuffer(self._words, np.uint32)
         try:
             starts, lengths = self._likely_starts(words, first)
             forms = tables.forms(words, starts, lengths) if len(starts) == count else None
@@ -661,8 +661,8 @@ class _Finder:
             return False
         if forms is None:
             return False
-        ends = starts + self._memory.places().stride[forms]
-        if starts[0] != first or (ends[:-1] != starts[1:]).any():
+        ends = starts + self._memory.places().stride.take(forms)
+        if starts[0] != first or np.not_equal(ends[:-1], starts[1:]).any():
             return False
         self.starts, self.forms = starts, forms
         return True
@@ -672,16 +672,18 @@ class _Finder:
     ) -> tuple[IntArray, tuple[int, int]]:
         """Find where the frame_id and the number of results of the first detection are again."""
         frame_at = _FRAME_ID // 4
-        frame_id = int(words[first + frame_at])
-        # What is left of the last word is padding.
-        whole = min(frame_id // 4, _MOST_WORDS)
+        frame_id = self._words[first + frame_at]
         results_at = frame_at + 1 + _aligned(frame_id, 4) // 4
-        results = int(words[first + results_at])
+        results = self._words[first + results_at]
         reach = len(words) - first - results_at
         alike = words[first + results_at :] == results
-        for at in range(frame_at, frame_at + 1 + whole):
-            alike &= words[first + at : first + at + reach] == words[first + at]
-        return np.flatnonzero(alike) + first, (frame_id, results)
+        # What is left of the last word is padding.
+        for at in range(frame_at, frame_at + 1 + min(frame_id // 4, _MOST_WORDS)):
+            word = self._words[first + at]
+            alike &= words[first + at : first + at + reach] == word
+        (starts,) = alike.nonzero()
+        starts += first
+        return starts, (frame_id, results)
 
 
 class Detections:
@@ -949,7 +951,7 @@ class Detections:
             for form, rows in self._rows_by_form():
                 body[4 * starts[rows, None] + form.padding] = 0
         else:
-            padding = table[forms]
+            padding = table.take(forms, axis=0)
             at = padding + 4 * starts[:, None]
             if self._places.some_unpadded:
                 at = at[padding[:, 0] >= 0]
