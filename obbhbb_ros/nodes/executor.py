@@ -3,12 +3,13 @@ An executor for a node with one busy subscription.
 
 rclpy's executors gather all entities of a node, a dozen services among them, and build a wait set
 anew for every message: about half a millisecond, more than the rest of the work together. This one
-keeps its wait set, and hands messages of the busy subscription over as soon as they are there.
+keeps its wait sets, and hands messages of the busy subscription over as soon as they are there.
 Whatever else becomes ready it leaves to the executor it is made from.
 """
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from rclpy.executors import ExternalShutdownException
@@ -17,13 +18,53 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 _FOREVER = -1
-_KINDS = ('subscription', 'guard_condition', 'timer', 'client', 'service')
-_OTHER_KINDS = _KINDS[1:]
+# How long a service may have to wait while messages follow one another, seconds.
+_PATIENCE = 0.05
+
+
+class _Wait:
+    """
+    A wait set that is kept.
+
+    Parameters
+    ----------
+    groups : dict of str to list
+        Handles of what to wait for, by kind.
+    context : Any
+        Handle of the context.
+    """
+
+    KINDS = ('subscription', 'guard_condition', 'timer', 'client', 'service')
+
+    def __init__(self, groups: dict[str, list[Any]], context: Any) -> None:
+        counts = [len(groups[kind]) for kind in self.KINDS]
+        self._wait_set = rclpy_implementation.WaitSet(*counts, 0, context)
+        self._additions = [
+            (getattr(self._wait_set, f'add_{kind}'), groups[kind]) for kind in self.KINDS
+        ]
+        self._others = [kind for kind in self.KINDS[1:] if groups[kind]]
+
+    def wait(self, nanoseconds: int) -> list[int]:
+        """Wait for anything; tell which subscriptions are ready."""
+        self._wait_set.clear_entities()
+        for add, handles in self._additions:
+            for handle in handles:
+                add(handle)
+        self._wait_set.wait(nanoseconds)
+        ready: list[int] = self._wait_set.get_ready_entities('subscription')
+        return ready
+
+    def others(self) -> bool:
+        """Tell whether anything but subscriptions is ready."""
+        return any(map(self._wait_set.get_ready_entities, self._others))
 
 
 class ExpressExecutor(SingleThreadedExecutor):
     """
     Runs one node; messages of `node.express_subscription`, if it has one, take a short way.
+
+    While they follow one another, services are looked at only now and then: what they add to
+    each wait would delay every message.
 
     Parameters
     ----------
@@ -34,8 +75,8 @@ class ExpressExecutor(SingleThreadedExecutor):
     def __init__(self, node: Node) -> None:
         super().__init__(context=node.context)
         self._served = node
-        self._wait_set: Any = None
-        self._additions: list[tuple[Any, list[Any]]] = []
+        self._waits: tuple[_Wait, _Wait] | None = None
+        self._busy_until = 0.0
         self.add_node(node)
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
@@ -49,51 +90,50 @@ class ExpressExecutor(SingleThreadedExecutor):
         """
         subscription = getattr(self._served, 'express_subscription', None)
         if subscription is None:
-            self._wait_set = None
+            self._waits = None
             super().spin_once(timeout_sec)
             return
-        nanoseconds = _FOREVER if timeout_sec is None else int(timeout_sec * 1e9)
         try:
-            self._wait(nanoseconds)
+            if self._waits is None:
+                self._waits = self._gather()
+            few, everything = self._waits
+            left = self._busy_until - time.monotonic()
+            if left > 0.0:
+                wait, timeout_sec = few, left if timeout_sec is None else min(left, timeout_sec)
+            else:
+                wait = everything
+            ready = wait.wait(_FOREVER if timeout_sec is None else int(timeout_sec * 1e9))
+            if not self._context.ok():
+                raise ExternalShutdownException
             # What else is ready is asked for only when the message is through.
-            ready = self._wait_set.get_ready_entities('subscription')
             taken = None
             if subscription.handle.pointer in ready:
                 ready.remove(subscription.handle.pointer)
                 taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
         except rclpy_implementation.InvalidHandle:
             # Something was destroyed since the handles were gathered.
-            self._wait_set = None
+            self._waits = None
             return
         try:
             if taken is not None:
                 subscription.callback(taken[0])
+                if wait is everything:
+                    self._busy_until = time.monotonic() + _PATIENCE
         finally:
-            if ready or any(map(self._wait_set.get_ready_entities, _OTHER_KINDS)):
+            if ready or wait.others():
                 # A guard condition may tell of new entities.
-                self._wait_set = None
+                self._waits = None
                 super().spin_once(0.0)
 
-    def _wait(self, nanoseconds: int) -> None:
-        """Wait for anything of the node."""
-        if self._wait_set is None:
-            self._gather()
-        self._wait_set.clear_entities()
-        for add, handles in self._additions:
-            for handle in handles:
-                add(handle)
-        self._wait_set.wait(nanoseconds)
-        if not self._context.ok():
-            raise ExternalShutdownException
-
-    def _gather(self) -> None:
-        """Make a wait set for what the node has now."""
+    def _gather(self) -> tuple[_Wait, _Wait]:
+        """Make wait sets for what the node has now: without services, and for everything."""
         node = self._served
         guards = [*node.guards, self._guard, self._sigint_gc]
         entities = (node.subscriptions, guards, node.timers, node.clients, node.services)
-        groups = [[entity.handle for entity in group] for group in entities]
-        self._wait_set = rclpy_implementation.WaitSet(*map(len, groups), 0, self._context.handle)
-        self._additions = [
-            (getattr(self._wait_set, f'add_{kind}'), group)
-            for kind, group in zip(_KINDS, groups, strict=True)
-        ]
+        groups = {
+            kind: [entity.handle for entity in group]
+            for kind, group in zip(_Wait.KINDS, entities, strict=True)
+        }
+        context = self._context.handle
+        everything = _Wait(groups, context)
+        return _Wait({**groups, 'client': [], 'service': []}, context), everything
