@@ -28,6 +28,7 @@ BLOCK = 4096
 
 # Of numbers up to here no product overflows; of sides from here on no area vanishes.
 _LARGE = 1e150
+_FLOAT = np.dtype(np.float64)
 _SMALL = 1e-150
 
 
@@ -348,6 +349,8 @@ def _mark_unusable(boxes: OrientedBoxes) -> None:
 
 def _as_array(values: ArrayLike, name: str, row_shape: tuple[int, ...]) -> FloatArray:
     """Read `values` as float64 rows of `row_shape`, or say what is wrong with them."""
+    if type(values) is np.ndarray and values.dtype == _FLOAT and values.shape[1:] == row_shape:
+        return values
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:

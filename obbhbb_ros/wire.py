@@ -641,7 +641,7 @@ class _Finder:
             starts.append(word)
             forms.append(form)
             word += strides[form]
-        self.starts, self.forms = np.array(starts, np.int64), np.array(forms, np.int64)
+        self.starts, self.forms = np.array((starts, forms), np.int64)
 
     def _find_at_once(self, first: int, count: int) -> bool:
         """
@@ -707,9 +707,9 @@ class Detections:
     """
 
     def __init__(self, data: bytes, forms: Forms | None = None) -> None:
-        order = _PLAIN_CDR.get(bytes(data[:ENCAPSULATION]))
+        order = _PLAIN_CDR.get(data[:ENCAPSULATION])
         if order is None:
-            raise NotPlainCdrError(f'encapsulation {bytes(data[:ENCAPSULATION]).hex()}')
+            raise NotPlainCdrError(f'encapsulation {data[:ENCAPSULATION].hex()}')
         limit = len(data) - ENCAPSULATION
         # Copied to where numbers are aligned, the encapsulation header before a multiple of
         # eight, and rounded up so that it can be seen as numbers.

@@ -114,17 +114,15 @@ class ObbToHbb(ManagedNode[Settings]):
         """Convert one message under one snapshot of the parameters."""
         started = time.perf_counter()
         self._monitor.add('messages_received')
-        wants_boxes = self._boxes_publisher.get_subscription_count() > 0
-        wants_crops = self._crops_publisher.get_subscription_count() > 0
+        wants_boxes = _wanted(self._boxes_publisher)
         if not self._active:
             self._monitor.add('messages_while_inactive')
-        elif not (wants_boxes or wants_crops):
+        elif not (wants_boxes or _wanted(self._crops_publisher)):
             self._monitor.add('messages_without_subscriber')
         else:
             frame = self._read(data)
             if frame is not None:
-                settings = self._parameters_in_force.settings
-                self._convert(frame, settings, wants_boxes, wants_crops)
+                self._convert(frame, self._parameters_in_force.settings, wants_boxes)
             self._monitor.took(time.perf_counter() - started)
 
     def _read(self, data: bytes) -> Frame | None:
@@ -145,9 +143,7 @@ class ObbToHbb(ManagedNode[Settings]):
             self._drop_unreadable(data, topic, self._input_type, error)
             return None
 
-    def _convert(
-        self, frame: Frame, settings: Settings, wants_boxes: bool, wants_crops: bool
-    ) -> None:
+    def _convert(self, frame: Frame, settings: Settings, wants_boxes: bool) -> None:
         """Convert one message and publish what is wanted of it."""
         boxes = frame.boxes(settings.theta_scale)
         rule_of = None
@@ -157,11 +153,14 @@ class ObbToHbb(ManagedNode[Settings]):
         if wants_boxes:
             message = frame.boxes_message(boxes, extents, settings.keep_invalid)
             self._boxes_publisher.publish(message)
-        planner = self._planner(frame, boxes, rule_of, settings) if wants_crops else None
+        planner = None
+        # Asked only now: whoever waits for the boxes does not wait for this either.
+        if _wanted(self._crops_publisher):
+            planner = self._planner(frame, boxes, rule_of, settings)
         if planner is not None:
             plan = planner(extents)
             self._crops_publisher.publish(frame.crops_message(plan))
-        # Last: whoever waits for the answer does not wait for this.
+        # Last, for the same reason.
         self._count(frame, boxes, extents, settings)
         if planner is not None:
             self._count_crops(plan)
@@ -244,6 +243,11 @@ class ObbToHbb(ManagedNode[Settings]):
             f'{self._subscription.topic_name} at stamp {seconds}.{nanoseconds:09d}: '
             f'index {rows[0]} is {Defect(defects[0]).name.lower()}'
         )
+
+
+def _wanted(publisher: Any) -> bool:
+    """Tell whether a topic has a subscriber."""
+    return bool(publisher.get_subscription_count())
 
 
 def main(args: Sequence[str] | None = None) -> None:
