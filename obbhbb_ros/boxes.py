@@ -11,6 +11,9 @@ from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Sequence
 from enum import IntEnum
+from math import cos
+from math import isfinite
+from math import sin
 from typing import Any
 from typing import TypeAlias
 
@@ -26,10 +29,13 @@ FloatArray: TypeAlias = NDArray[np.float64]
 BLOCK = 4096
 
 
+# Fewer boxes than this are seen to one by one in less time than NumPy takes.
+FEW = 16
+
 # Of numbers up to here no product overflows; of sides from here on no area vanishes.
-_LARGE = 1e150
+LARGE = 1e150
 _FLOAT = np.dtype(np.float64)
-_SMALL = 1e-150
+SMALL = 1e-150
 
 
 def blocks(count: int) -> list[slice]:
@@ -284,7 +290,7 @@ def _boxes_of_corners(corners: FloatArray) -> OrientedBoxes:
     quarters = np.multiply(corners.transpose(1, 2, 0), 0.25, order='C')
     if _none_large(quarters):
         boxes = _lay_corners(quarters)
-        if np.minimum.reduce(_areas(boxes), initial=np.inf) > _SMALL**2:
+        if np.minimum.reduce(_areas(boxes), initial=np.inf) > SMALL**2:
             boxes.tame = True
             return boxes
     with np.errstate(invalid='ignore', over='ignore'):
@@ -297,7 +303,7 @@ def _boxes_of_xywhr(xywhr: FloatArray) -> OrientedBoxes:
     """Make boxes of centre, size and angle, (n, 5)."""
     columns = xywhr.T
     sizes = columns[2:4]
-    if _none_large(columns) and np.minimum.reduce(sizes, axis=None, initial=np.inf) > _SMALL:
+    if _none_large(columns) and np.minimum.reduce(sizes, axis=None, initial=np.inf) > SMALL:
         boxes = _lay_columns(columns)
         boxes.tame = True
         return boxes
@@ -323,12 +329,22 @@ def _lay_corners(quarters: FloatArray) -> OrientedBoxes:
 def _lay_columns(columns: FloatArray) -> OrientedBoxes:
     """Lay boxes of x, y, width, height and theta, (5, n)."""
     half = columns[2:4] * 0.5
-    direction = np.empty_like(half)
-    np.cos(columns[4], out=direction[0])
-    np.sin(columns[4], out=direction[1])
+    direction = _directions(columns[4])
     first, second = direction * half[0], direction[::-1] * half[1]
     np.negative(second[0], out=second[0])
     return OrientedBoxes(columns[:2].copy(), first, second, np.zeros(half.shape[1], np.uint8))
+
+
+def _directions(theta: FloatArray) -> FloatArray:
+    """Give cosine and sine of angles, (2, n)."""
+    if len(theta) < FEW and isfinite(sum(theta.tolist())):
+        # Not for speed: what `converter.few_half_extents` computes has to come out here as well.
+        angles = theta.tolist()
+        return np.array([[cos(angle) for angle in angles], [sin(angle) for angle in angles]])
+    direction = np.empty((2, len(theta)))
+    np.cos(theta, out=direction[0])
+    np.sin(theta, out=direction[1])
+    return direction
 
 
 def _areas(boxes: OrientedBoxes) -> FloatArray:
@@ -366,7 +382,7 @@ def _as_array(values: ArrayLike, name: str, row_shape: tuple[int, ...]) -> Float
 def _none_large(numbers: FloatArray) -> bool:
     """Tell whether all numbers are finite and so small that no product of two overflows."""
     # NaN passes through the maximum, and compares as false.
-    return bool(np.maximum.reduce(np.abs(numbers), axis=None, initial=0.0) < _LARGE)
+    return bool(np.maximum.reduce(np.abs(numbers), axis=None, initial=0.0) < LARGE)
 
 
 def _take_second_where_signs_differ(

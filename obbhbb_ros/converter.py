@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import BLOCK
+from obbhbb_ros.boxes import FEW
+from obbhbb_ros.boxes import LARGE
+from obbhbb_ros.boxes import SMALL
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.boxes import blocks
 from obbhbb_ros.methods import METHODS
+from obbhbb_ros.methods import Method
 from obbhbb_ros.methods import get_method
 
 F_RANGE = S_RANGE = (0.0, 2.0)
@@ -227,9 +232,58 @@ def half_extents(
         extents = _all_extents(boxes, rules, rule_of, caps)
         # The whole size, which messages state, is the first to overflow.
         farthest = np.abs(boxes.center) + 2.0 * extents
-        if not isfinite(np.add.reduce(farthest, axis=None)):
+        if not math.isfinite(np.add.reduce(farthest, axis=None)):
             extents[:, ~np.isfinite(farthest).all(axis=0)] = np.nan
     return extents
+
+
+def few_half_extents(
+    rows: Sequence[Sequence[float]], rule: HullRule
+) -> list[tuple[float, float]] | None:
+    """
+    Compute the half-extents of so few boxes that calls of NumPy would take longer.
+
+    Parameters
+    ----------
+    rows : sequence of N sequences of five float
+        Boxes as `OrientedBoxes.from_xywhr` takes them.
+    rule : HullRule
+        The rule for all.
+
+    Returns
+    -------
+    list of N tuples of two float, or None
+        Half-extents along x and y, pixels; None if `half_extents` has to do it, as a box is out of
+        the ordinary or the rule takes both axes together.
+    """
+    method = METHODS[rule.method]
+    if not method.by_axis:
+        return None
+    extent: Any = method.half_extents
+    q, f, s = (rule.q, rule.f, rule.s) if method.tunable else (rule.q, 1.0, 1.0)
+    found = []
+    for x, y, width, height, theta in rows:
+        # NaN is nowhere between.
+        if not (
+            SMALL < width < LARGE and SMALL < height < LARGE
+            and -LARGE < x < LARGE and -LARGE < y < LARGE and -LARGE < theta < LARGE
+        ):
+            return None
+        cos, sin = abs(math.cos(theta)), abs(math.sin(theta))
+        first = cos * (width * 0.5), sin * (width * 0.5)
+        second = sin * (height * 0.5), cos * (height * 0.5)
+        if _squared(second) > _squared(first):
+            first, second = second, first
+        found.append((
+            extent(first[0], second[0] * f, q) * s, extent(first[1], second[1] * f, q) * s
+        ))
+    return found
+
+
+def _squared(edge: tuple[float, float]) -> float:
+    """Square the length of an edge."""
+    x, y = edge
+    return x * x + y * y
 
 
 def convert_with_diagnostics(
@@ -330,10 +384,20 @@ def _block_extents(
     """Compute the half-extents of some rows, (2, n)."""
     method = METHODS[rule.method]
     along, across = _reaches(boxes, rule, rows)
-    extents = method.half_extents(along, across, rule.q)
+    if method.by_axis and boxes.tame and along.shape[1] < FEW:
+        extents = _few_extents(method, along, across, rule.q)
+    else:
+        extents = method.half_extents(along, across, rule.q)
     if method.tunable and rule.s != 1.0:
         extents *= rule.s
     return _capped(extents, caps) if caps.given else extents
+
+
+def _few_extents(method: Method, along: FloatArray, across: FloatArray, q: float) -> FloatArray:
+    """Compute half-extents number by number, as `few_half_extents` does."""
+    extent: Any = method.half_extents
+    pairs = zip(along.ravel().tolist(), across.ravel().tolist(), strict=True)
+    return np.array([extent(one, other, q) for one, other in pairs]).reshape(2, -1)
 
 
 def _reaches(
@@ -367,6 +431,6 @@ def _lay_around(center: FloatArray, extents: FloatArray, xyxy: FloatArray) -> No
 
 def _without_overflown(xyxy: FloatArray) -> FloatArray:
     """Make the rows that are not finite NaN."""
-    if not isfinite(np.add.reduce(xyxy, axis=None)):
+    if not math.isfinite(np.add.reduce(xyxy, axis=None)):
         xyxy[~np.isfinite(xyxy).all(axis=1)] = np.nan
     return xyxy

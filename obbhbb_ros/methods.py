@@ -19,15 +19,19 @@ Equation, table and algorithm numbers are those of the paper, "Shape-Aware Orien
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TypeAlias
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
+# Of many boxes along both axes, (2, N), or of one box along one.
+Reach = TypeVar('Reach', float, FloatArray)
 Rule: TypeAlias = Callable[[FloatArray, FloatArray, float], FloatArray]
 
 # Keeps 0 / 0 from happening where a hull has no extent at all.
@@ -36,7 +40,23 @@ _TINY = float(np.finfo(np.float64).tiny)
 _AS_GOOD_AS_INFINITE = 1e100
 
 
-def superellipse(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
+def maximum(one: Reach, other: Reach | float) -> Reach:
+    """Give the larger of two numbers, or of each two."""
+    # On plain floats NumPy takes ten times as long.
+    return np.maximum(one, other) if isinstance(one, np.ndarray) else max(one, other)
+
+
+def minimum(one: Reach, other: Reach) -> Reach:
+    """Give the smaller of two numbers, or of each two."""
+    return np.minimum(one, other) if isinstance(one, np.ndarray) else min(one, other)
+
+
+def root(number: Reach) -> Reach:
+    """Take the square root of a number, or of each."""
+    return np.sqrt(number) if isinstance(number, np.ndarray) else math.sqrt(number)
+
+
+def superellipse(along: Reach, across: Reach, q: float) -> Reach:
     """
     Project the superellipse hull of Eq. 1 exactly.
 
@@ -45,30 +65,31 @@ def superellipse(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
 
     Parameters
     ----------
-    along, across : ndarray, shape (2, N)
-        Reach of the half-length and of the half-width along x and y, pixels, not negative.
+    along, across : ndarray, shape (2, N), or float
+        Reach of the half-length and of the half-width along x and y, pixels, not negative; or of
+        one box along one axis.
     q : float
         Shape exponent in [1, inf]: 1 is a rhombus, 2 an ellipse, infinity the rectangle.
 
     Returns
     -------
-    ndarray, shape (2, N)
+    ndarray, shape (2, N), or float
         Half-extents along x and y, pixels.
     """
     if q == 1.0:
-        return np.maximum(along, across)
+        return maximum(along, across)
     if q == 2.0:
         return gaussian(along, across)
     p = q / (q - 1.0) if q < np.inf else 1.0
     if p == 1.0:
         return along + across
     # The larger term is factored out, so that no power overflows whatever p is.
-    larger = np.maximum(along, across)
-    ratio = np.minimum(along, across)
-    ratio /= np.maximum(larger, _TINY)
-    np.power(ratio, p, out=ratio)
+    larger = maximum(along, across)
+    ratio = minimum(along, across)
+    ratio /= maximum(larger, _TINY)
+    ratio **= p
     ratio += 1.0
-    np.power(ratio, 1.0 / p, out=ratio)
+    ratio **= 1.0 / p
     ratio *= larger
     return ratio
 
@@ -101,20 +122,20 @@ def shape_aware(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
     return np.where(along < q * across, across + along * t * (1.0 - 1.0 / q), along)
 
 
-def outer(along: FloatArray, across: FloatArray, q: float = np.inf) -> FloatArray:
+def outer(along: Reach, across: Reach, q: float = np.inf) -> Reach:
     """Enclose the four corners, ``along + across``; `q` is ignored."""
     return along + across
 
 
-def midpoint(along: FloatArray, across: FloatArray, q: float = 1.0) -> FloatArray:
+def midpoint(along: Reach, across: Reach, q: float = 1.0) -> Reach:
     """Enclose the four edge midpoints, ``max(along, across)`` (Table 1, "M"); `q` is ignored."""
-    return np.maximum(along, across)
+    return maximum(along, across)
 
 
-def gaussian(along: FloatArray, across: FloatArray, q: float = 2.0) -> FloatArray:
+def gaussian(along: Reach, across: Reach, q: float = 2.0) -> Reach:
     """Marginalise the box's Gaussian on each axis: the ellipse's extent; `q` is ignored."""
     # A third of the time of np.hypot, which guards against squares that overflow.
-    return np.sqrt(along * along + across * across)
+    return root(along * along + across * across)
 
 
 def area_equivalent(along: FloatArray, across: FloatArray, q: float = np.inf) -> FloatArray:
@@ -213,6 +234,9 @@ class Method:
         ``(along, across, q) -> t``, all (2, N); NaN where the rule has no such thing.
     tunable : bool
         Whether `q`, `f` and `s` apply; the others are used with f = s = 1.
+    by_axis : bool
+        Whether what a box reaches along one axis does not depend on the other: then
+        `half_extents` takes plain floats as well, those of one box and axis.
     symmetric : bool
         Whether `along` and `across` may change places, so that nobody needs to know which side
         is the longer one.
@@ -226,6 +250,7 @@ class Method:
     half_extents: Rule
     contact: Rule
     tunable: bool
+    by_axis: bool
     symmetric: bool
     onboard: bool
     summary: str
@@ -235,36 +260,36 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType({
     method.name: method
     for method in (
         Method(
-            'superellipse', superellipse, superellipse_contact, True, True, True,
+            'superellipse', superellipse, superellipse_contact, True, True, True, True,
             'exact projection of the superellipse hull',
         ),
         Method(
-            'shape_aware', shape_aware, shape_aware_contact, True, False, True,
+            'shape_aware', shape_aware, shape_aware_contact, True, False, False, True,
             'the published rule, Algorithm 1',
         ),
         Method(
-            'outer', outer, _contact_at(np.inf), False, True, True,
+            'outer', outer, _contact_at(np.inf), False, True, True, True,
             'minimum and maximum of the corners',
         ),
         Method(
-            'midpoint', midpoint, _contact_at(1.0), False, True, True,
+            'midpoint', midpoint, _contact_at(1.0), False, True, True, True,
             'minimum and maximum of the edge midpoints',
         ),
         Method(
-            'gaussian', gaussian, _contact_at(2.0), False, True, True,
+            'gaussian', gaussian, _contact_at(2.0), False, True, True, True,
             'Gaussian of the box, marginalised',
         ),
         Method(
-            'area_equivalent', area_equivalent, _no_contact, False, True, True,
+            'area_equivalent', area_equivalent, _no_contact, False, False, True, True,
             'outer box scaled to the area of the oriented box',
         ),
         Method(
-            'gaussian_published', gaussian_published, _no_contact, False, True, False,
+            'gaussian_published', gaussian_published, _no_contact, False, False, True, False,
             'Gaussian baseline as the paper runs it, x and y swapped',
         ),
         Method(
             'area_equivalent_published', area_equivalent_published, _no_contact,
-            False, False, False,
+            False, False, False, False,
             'area baseline as the paper runs it, length always on x',
         ),
     )

@@ -22,11 +22,14 @@ from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field
+from operator import itemgetter
 from typing import Any
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+from obbhbb_ros.boxes import FEW
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
@@ -112,6 +115,9 @@ _SCORE = 'detections.results.hypothesis.score'
 # The numbers of a box in the order that `OrientedBoxes.from_xywhr` takes them, (5, 1).
 _XYWHR = np.array([[0], [1], [3], [4], [2]])
 _STAMP = struct.Struct('<iI')
+_BOX_NUMBERS = struct.Struct('<5d')
+_THETA_AND_SIZES = struct.Struct('<3d')
+_in_order = itemgetter(*_XYWHR.ravel().tolist())
 _HYPOTHESIS_NUMBERS = 44
 # Of the lengths in a detection, that of its hypotheses comes behind that of its frame_id.
 _RESULTS = 1
@@ -337,8 +343,6 @@ _MOST_RESULTS = 5
 _UNKNOWN = np.iinfo(np.int32).min
 # So many words of a frame_id are compared.
 _MOST_WORDS = 4
-# Fewer detections than this are seen to one by one in less time than NumPy takes.
-_FEW = 16
 _MOST_PADDING = 64
 _BYTE_ORDER = '<' if sys.byteorder == 'little' else '>'
 
@@ -571,10 +575,14 @@ class _Finder:
     ----------
     header : _HeaderForm
         Form of the message's header.
+    count : int
+        Number of detections.
     starts : ndarray of int, shape (N,)
         Where each detection starts, in words.
     forms : ndarray of int, shape (N,)
         Number of its form.
+    pairs : list of tuple of int, or None
+        Both, where the detections were found one by one.
     end : int
         Where the last one ends, in bytes.
 
@@ -591,15 +599,38 @@ class _Finder:
         self._memory = forms
         self.header = self._find_header()
         first = self.header.count_at + 4
-        self.end = first
-        self.starts = self.forms = np.empty(0, np.int64)
-        count = self._count()
-        if count:
-            if count < _MANY or not self._find_at_once(first // 4, count):
-                self._find_one_by_one(first // 4, count)
-            self.end = 4 * int(self.starts[-1]) + forms.all[self.forms[-1]].size
-            if self.end > limit:
-                raise WireError(f'{_ELEMENT.path} ends at byte {self.end} of {limit}')
+        self.count = self._count()
+        self.pairs: list[tuple[int, int]] | None = None
+        self._arrays: tuple[IntArray, IntArray] | None = None
+        if self.count < _MANY or not self._find_at_once(first // 4):
+            self._find_one_by_one(first // 4)
+        self.end = self._end(first)
+
+    @property
+    def starts(self) -> IntArray:
+        """Where each detection starts, in words, (N,)."""
+        return self._as_arrays()[0]
+
+    @property
+    def forms(self) -> IntArray:
+        """Number of the form of each, (N,)."""
+        return self._as_arrays()[1]
+
+    def _as_arrays(self) -> tuple[IntArray, IntArray]:
+        """Give starts and forms, once they are asked for."""
+        if self._arrays is None:
+            starts, forms = np.array(self.pairs, np.int64).reshape(-1, 2).T
+            self._arrays = starts, forms
+        return self._arrays
+
+    def _end(self, end: int) -> int:
+        """Tell where the last detection ends, `end` if there is none."""
+        if self.count:
+            start, form = self.pairs[-1] if self.pairs else (self.starts[-1], self.forms[-1])
+            end = 4 * int(start) + self._memory.all[form].size
+            if end > self._limit:
+                raise WireError(f'{_ELEMENT.path} ends at byte {end} of {self._limit}')
+        return end
 
     @property
     def _walk(self) -> _Walk:
@@ -625,12 +656,11 @@ class _Finder:
         # This says what is wrong.
         return self._walk.count(_ELEMENT, self.header.end).lengths[0][1]
 
-    def _find_one_by_one(self, word: int, count: int) -> None:
+    def _find_one_by_one(self, word: int) -> None:
         """Go from detection to detection."""
         words, known, strides = self._words, self._memory.known, self._memory.strides
-        starts: list[int] = []
-        forms: list[int] = []
-        for _ in range(count):
+        self.pairs = pairs = []
+        for _ in range(self.count):
             place, values, more = known[word & 1]
             try:
                 while more:
@@ -638,12 +668,10 @@ class _Finder:
                 form = values[words[word + place]]
             except (IndexError, KeyError):
                 form = self._memory.learn(self._walk.over(_ELEMENT.inner, 4 * word), 4 * word)
-            starts.append(word)
-            forms.append(form)
+            pairs.append((word, form))
             word += strides[form]
-        self.starts, self.forms = np.array((starts, forms), np.int64)
 
-    def _find_at_once(self, first: int, count: int) -> bool:
+    def _find_at_once(self, first: int) -> bool:
         """
         Find detections that all have the frame_id of the first and as many results; or give up.
 
@@ -656,7 +684,8 @@ class _Finder:
         words = np.frombuffer(self._words, np.uint32)
         try:
             starts, lengths = self._likely_starts(words, first)
-            forms = tables.forms(words, starts, lengths) if len(starts) == count else None
+            known = len(starts) == self.count
+            forms = tables.forms(words, starts, lengths) if known else None
         except IndexError:
             return False
         if forms is None:
@@ -664,7 +693,7 @@ class _Finder:
         ends = starts + self._memory.places().stride.take(forms)
         if starts[0] != first or np.not_equal(ends[:-1], starts[1:]).any():
             return False
-        self.starts, self.forms = starts, forms
+        self._arrays = starts, forms
         return True
 
     def _likely_starts(
@@ -725,16 +754,28 @@ class Detections:
             raise NotPlainCdrError(f'{limit - found.end} bytes behind the message')
         # The memory may be emptied for a later message; what this one needs stays.
         self._forms, self._places = forms.all, forms.places()
-        self._numbers = np.frombuffer(self._buffer, _FLOAT, offset=_BODY)
         if order == '>':
             self._turn_around()
         self._buffer[ENCAPSULATION:_BODY] = _LITTLE_ENDIAN
+        self._numbers = np.frombuffer(self._buffer, _FLOAT, offset=_BODY)
+        self._places_of_boxes: IntArray | None = None
+        # Few detections are seen to one by one, by where their boxes lie in the buffer.
+        self._few: list[int] | None = None
+        if found.pairs is not None and found.count < FEW:
+            self._few = [_BODY + 4 * start + self._forms[form].box for start, form in found.pairs]
         self._blank_padding()
-        self._boxes_at = self._places.box.take(found.forms, axis=1) + (found.starts >> 1)
 
     def __len__(self) -> int:
         """Count the detections."""
-        return len(self._found.starts)
+        return self._found.count
+
+    @property
+    def _boxes_at(self) -> IntArray:
+        """Tell which numbers are x, y, size x, size y and theta of each detection, (5, N)."""
+        if self._places_of_boxes is None:
+            starts, forms = self._found.starts, self._found.forms
+            self._places_of_boxes = self._places.box.take(forms, axis=1) + (starts >> 1)
+        return self._places_of_boxes
 
     @property
     def stamp(self) -> tuple[int, int]:
@@ -752,6 +793,19 @@ class Detections:
             Centre x and y, size x and y, theta, as `OrientedBoxes.from_xywhr` takes them.
         """
         return self._numbers[self._boxes_at].T
+
+    def few_boxes(self) -> list[Sequence[float]] | None:
+        """
+        Read the oriented boxes of a message that has so few that NumPy would take longer.
+
+        Returns
+        -------
+        list of N tuples of five float, or None
+            Rows as `xywhr` gives them; None if there are more.
+        """
+        if self._few is None:
+            return None
+        return [_in_order(_BOX_NUMBERS.unpack_from(self._buffer, at)) for at in self._few]
 
     def best_hypotheses(self) -> tuple[IntArray, FloatArray]:
         """
@@ -826,6 +880,25 @@ class Detections:
         if rows is not None:
             written, boxes_at = written[:, rows], boxes_at[:, rows]
         self._numbers[boxes_at] = written
+        return _message(self._buffer, self._found.end)
+
+    def rewrite_few(self, extents: Sequence[tuple[float, float]]) -> bytes:
+        """
+        Do what `rewrite` does to a message for which `few_boxes` gives boxes.
+
+        Parameters
+        ----------
+        extents : sequence of N tuples of two float
+            Half-extents of each axis-aligned box along x and y, pixels.
+
+        Returns
+        -------
+        bytes
+            The serialized message, little-endian.
+        """
+        for at, (half_x, half_y) in zip(self._few or (), extents, strict=True):
+            sizes = 2.0 * half_x, 2.0 * half_y
+            _THETA_AND_SIZES.pack_into(self._buffer, at + 16, 0.0, *sizes)
         return _message(self._buffer, self._found.end)
 
     def selected(self, rows: IntArray, xywh: FloatArray) -> bytes:
@@ -939,13 +1012,13 @@ class Detections:
         """Zero the bytes between fields: what writers leave there is whatever their memory held."""
         for at in self._found.header.padding:
             self._buffer[_BODY + at] = 0
-        starts, forms, table = self._found.starts, self._found.forms, self._places.padding
-        if len(starts) < _FEW:
-            for start, form in zip(starts.tolist(), forms.tolist(), strict=True):
+        if self._few is not None:
+            for start, number in self._found.pairs or ():
                 at = _BODY + 4 * start
-                for begin, behind in self._forms[form].gaps:
+                for begin, behind in self._forms[number].gaps:
                     self._buffer[at + begin : at + behind] = _PADDING[: behind - begin]
             return
+        starts, forms, table = self._found.starts, self._found.forms, self._places.padding
         body = self._body()
         if table is None:
             for form, rows in self._rows_by_form():

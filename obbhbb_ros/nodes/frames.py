@@ -7,6 +7,7 @@ declines, and is the reference that tests hold it against. Both write the same b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 from typing import Protocol
 
@@ -15,6 +16,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.serialization import serialize_message
 from vision_msgs.msg import Detection2DArray
 
+from obbhbb_ros.boxes import FEW
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.crops import CropPlan
@@ -34,6 +36,9 @@ class Frame(Protocol):
     def boxes(self, theta_scale: float) -> OrientedBoxes:
         """Read the N oriented boxes; `theta_scale` turns the input's angles into radians."""
 
+    def few_boxes(self, theta_scale: float) -> list[Sequence[float]] | None:
+        """Read the boxes of a message that has but a few, rows of xywhr; None if it has more."""
+
     def class_ids(self) -> list[str]:
         """Read the class of each detection's best hypothesis."""
 
@@ -44,6 +49,9 @@ class Frame(Protocol):
         self, boxes: OrientedBoxes, extents: FloatArray, keep_invalid: bool
     ) -> bytes:
         """Write the message with axis-aligned boxes; a NaN extent keeps or drops its detection."""
+
+    def few_boxes_message(self, extents: Sequence[tuple[float, float]]) -> bytes:
+        """Write the message with axis-aligned boxes of half-extents, for `few_boxes`."""
 
     def crops_message(self, plan: CropPlan) -> bytes:
         """Write a crop plan with the ids and hypotheses of its detections."""
@@ -84,6 +92,10 @@ class WireFrame:
             xywhr[:, 4] *= theta_scale
         return OrientedBoxes.from_xywhr(xywhr)
 
+    def few_boxes(self, theta_scale: float) -> list[Sequence[float]] | None:
+        """See `Frame`."""
+        return _scaled(self._detections.few_boxes(), theta_scale)
+
     def class_ids(self) -> list[str]:
         """See `Frame`."""
         return self._detections.class_ids(self._best()[0])
@@ -104,6 +116,10 @@ class WireFrame:
             return self._detections.rewrite(extents, valid)
         xywh = np.concatenate((boxes.center, 2.0 * extents)).T
         return self._detections.selected(np.flatnonzero(valid), xywh[valid])
+
+    def few_boxes_message(self, extents: Sequence[tuple[float, float]]) -> bytes:
+        """See `Frame`."""
+        return self._detections.rewrite_few(extents)
 
     def crops_message(self, plan: CropPlan) -> bytes:
         """See `Frame`."""
@@ -157,6 +173,12 @@ class TypedFrame:
             return messages.boxes_of_polygons(self._polygons)
         return messages.boxes_of_detections(self._message, theta_scale)
 
+    def few_boxes(self, theta_scale: float) -> list[Sequence[float]] | None:
+        """See `Frame`."""
+        if self._polygons is not None or len(self._message.detections) >= FEW:
+            return None
+        return _scaled(messages.xywhr_of(self._message).tolist(), theta_scale)
+
     def class_ids(self) -> list[str]:
         """See `Frame`."""
         class_ids: list[str] = self._best()[0]
@@ -174,6 +196,13 @@ class TypedFrame:
         message = messages.boxes_message(self._message, boxes.center, extents, keep_invalid)
         return canonical(serialize_message(message))
 
+    def few_boxes_message(self, extents: Sequence[tuple[float, float]]) -> bytes:
+        """See `Frame`."""
+        center = messages.xywhr_of(self._message)[:, :2].T
+        columns = np.array(extents, np.float64).reshape(-1, 2).T
+        message = messages.boxes_message(self._message, center, columns, True)
+        return canonical(serialize_message(message))
+
     def crops_message(self, plan: CropPlan) -> bytes:
         """See `Frame`."""
         return canonical(serialize_message(messages.crop_message(self._message, plan)))
@@ -183,3 +212,12 @@ class TypedFrame:
         if self._hypotheses is None:
             self._hypotheses = messages.best_hypotheses(self._message)
         return self._hypotheses
+
+
+def _scaled(
+    rows: list[Sequence[float]] | None, theta_scale: float
+) -> list[Sequence[float]] | None:
+    """Turn the angles of some rows of xywhr into radians."""
+    if rows is None or theta_scale == 1.0:
+        return rows
+    return [(x, y, width, height, theta * theta_scale) for x, y, width, height, theta in rows]

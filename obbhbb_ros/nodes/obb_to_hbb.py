@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,6 +16,7 @@ from obbhbb_ros.boxes import Defect
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.converter import HullRule
+from obbhbb_ros.converter import few_half_extents
 from obbhbb_ros.converter import half_extents
 from obbhbb_ros.converter import to_xyxy
 from obbhbb_ros.crops import CropPlan
@@ -145,6 +145,23 @@ class ObbToHbb(ManagedNode[Settings]):
 
     def _convert(self, frame: Frame, settings: Settings, wants_boxes: bool) -> None:
         """Convert one message and publish what is wanted of it."""
+        uniform = not (settings.rule_of_class or settings.caps.given)
+        rows = frame.few_boxes(settings.theta_scale) if uniform else None
+        few = None if rows is None else few_half_extents(rows, settings.rules[0])
+        if few is None:
+            self._convert_many(frame, settings, wants_boxes)
+            return
+        if wants_boxes:
+            self._boxes_publisher.publish(frame.few_boxes_message(few))
+        # Asked only now: whoever waits for the boxes does not wait for this.
+        if _wanted(self._crops_publisher):
+            boxes = OrientedBoxes.from_xywhr(rows)
+            extents = np.array(few, np.float64).reshape(-1, 2).T
+            self._publish_crops(frame, boxes, extents, None, settings)
+        self._count(len(few))
+
+    def _convert_many(self, frame: Frame, settings: Settings, wants_boxes: bool) -> None:
+        """Convert one message of any kind and publish what is wanted of it."""
         boxes = frame.boxes(settings.theta_scale)
         rule_of = None
         if settings.rule_of_class:
@@ -153,48 +170,55 @@ class ObbToHbb(ManagedNode[Settings]):
         if wants_boxes:
             message = frame.boxes_message(boxes, extents, settings.keep_invalid)
             self._boxes_publisher.publish(message)
-        planner = None
-        # Asked only now: whoever waits for the boxes does not wait for this either.
         if _wanted(self._crops_publisher):
-            planner = self._planner(frame, boxes, rule_of, settings)
-        if planner is not None:
-            plan = planner(extents)
-            self._crops_publisher.publish(frame.crops_message(plan))
-        # Last, for the same reason.
-        self._count(frame, boxes, extents, settings)
-        if planner is not None:
-            self._count_crops(plan)
-            if settings.compare_outer:
-                self._monitor.add('crop_pixels.compared', plan.pixels)
-                of_outer = planner(half_extents(boxes, OUTER))
-                self._monitor.add('crop_pixels.outer_boxes', of_outer.pixels)
+            weights = None if rule_of is None else settings.weights[rule_of]
+            self._publish_crops(frame, boxes, extents, weights, settings)
+        self._count(len(boxes))
+        if not boxes.tame:
+            self._look_for_invalid(frame, boxes, extents, settings)
 
-    def _planner(
+    def _publish_crops(
         self,
         frame: Frame,
         boxes: OrientedBoxes,
-        rule_of: NDArray[np.intp] | None,
+        extents: FloatArray,
+        weights: FloatArray | None,
         settings: Settings,
-    ) -> Callable[[FloatArray], CropPlan] | None:
-        """Give what plans the crops of a message by half-extents; None without an image size."""
+    ) -> None:
+        """Plan and publish the crop regions of one message."""
+        image_size = self._image_size(settings)
+        if image_size is None:
+            return
+        scores = frame.scores()
+
+        def plan_of(extents: FloatArray) -> CropPlan:
+            xyxy = to_xyxy(boxes.center, extents)
+            return plan_crops(xyxy, scores, image_size, settings.crop, weights)
+
+        plan = plan_of(extents)
+        self._crops_publisher.publish(frame.crops_message(plan))
+        self._count_crops(plan)
+        if settings.compare_outer:
+            of_outer = plan_of(half_extents(boxes, OUTER))
+            self._monitor.add('crop_pixels.compared', plan.pixels)
+            self._monitor.add('crop_pixels.outer_boxes', of_outer.pixels)
+
+    def _image_size(self, settings: Settings) -> tuple[int, int] | None:
+        """Tell the size of the image; warn and give None if it is not known."""
         self._take_camera_info()
-        image_size = tuple(
+        width, height = (
             given or seen
             for given, seen in zip(settings.image_size, self._camera_size, strict=True)
         )
-        if not all(image_size):
-            self._monitor.add('messages_without_image_size')
-            self._warn(
-                'no image size',
-                'no crop regions without the size of the image: set image_width and '
-                'image_height, or publish camera_info'
-            )
-            return None
-        scores = frame.scores()
-        weights = None if rule_of is None else settings.weights[rule_of]
-        return lambda extents: plan_crops(
-            to_xyxy(boxes.center, extents), scores, image_size, settings.crop, weights
+        if width and height:
+            return width, height
+        self._monitor.add('messages_without_image_size')
+        self._warn(
+            'no image size',
+            'no crop regions without the size of the image: set image_width and '
+            'image_height, or publish camera_info'
         )
+        return None
 
     def _count_crops(self, plan: CropPlan) -> None:
         """Count the regions of a plan, and the boxes that have none."""
@@ -205,18 +229,19 @@ class ObbToHbb(ManagedNode[Settings]):
         for reason, count in plan.left_out.items():
             self._monitor.add(f'crops_left_out.{reason.value}', count)
 
-    def _count(
+    def _count(self, detections: int) -> None:
+        """Count a message that was converted."""
+        self._monitor.add('messages_converted')
+        self._monitor.add('detections_received', detections)
+
+    def _look_for_invalid(
         self,
         frame: Frame,
         boxes: OrientedBoxes,
         extents: FloatArray,
         settings: Settings,
     ) -> None:
-        """Count a message's detections, and tell of those that cannot be converted."""
-        self._monitor.add('messages_converted')
-        self._monitor.add('detections_received', len(boxes))
-        if boxes.tame:
-            return
+        """Tell of the detections that cannot be converted."""
         invalid = np.flatnonzero(np.isnan(extents[0]))
         if not invalid.size:
             return
