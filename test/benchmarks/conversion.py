@@ -12,6 +12,7 @@ import argparse
 import math
 import time
 from collections.abc import Callable
+from collections.abc import Sequence
 
 import numpy as np
 import shapely
@@ -37,23 +38,34 @@ def corners_of(count: int) -> np.ndarray:
     return OrientedBoxes.from_xywhr(rows).corners
 
 
-def published_rule_loop(corners: np.ndarray) -> np.ndarray:
-    """Apply Algorithm 1 to one polygon after the other, as programs over label files do."""
+def published_rule(c: Sequence[Sequence[float]]) -> tuple[float, float, float, float]:
+    """Apply Algorithm 1 to the corners of one box."""
     q, f, s = 2.2, 0.9, 1.0
+    edges = [(c[1][0] - c[0][0], c[1][1] - c[0][1]), (c[2][0] - c[1][0], c[2][1] - c[1][1])]
+    long, short = sorted(edges, key=lambda e: -math.hypot(*e))
+    theta = math.atan2(long[0], long[1])
+    a, b = math.hypot(*long) / 2, math.hypot(*short) / 2 * f
+    sin, cos = abs(math.sin(theta)), abs(math.cos(theta))
+    k = max(q * b / a, 1e-12)
+    t_x = min(1.0, (sin / (max(cos, 1e-12) * k)) ** (1 / (q - 1)))
+    t_y = min(1.0, (cos / (max(sin, 1e-12) * k)) ** (1 / (q - 1)))
+    half_x = s * (a * t_x * sin + b * (1 - t_x**q) * cos)
+    half_y = s * (a * t_y * cos + b * (1 - t_y**q) * sin)
+    x, y = sum(p[0] for p in c) / 4, sum(p[1] for p in c) / 4
+    return x - half_x, y - half_y, x + half_x, y + half_y
+
+
+def corner_loop(corners: np.ndarray) -> np.ndarray:
+    """Take the corners as they are, one box after the other: the least that a loop can do."""
+    return np.array([published_rule(each) for each in corners.tolist()])
+
+
+def polygon_loop(corners: np.ndarray) -> np.ndarray:
+    """Go from polygon to polygon by its minimum rotated rectangle, as Algorithm 1 is stated."""
     boxes = []
-    for c in corners.tolist():
-        edges = [(c[1][0] - c[0][0], c[1][1] - c[0][1]), (c[2][0] - c[1][0], c[2][1] - c[1][1])]
-        long, short = sorted(edges, key=lambda e: -math.hypot(*e))
-        theta = math.atan2(long[0], long[1])
-        a, b = math.hypot(*long) / 2, math.hypot(*short) / 2 * f
-        sin, cos = abs(math.sin(theta)), abs(math.cos(theta))
-        k = max(q * b / a, 1e-12)
-        t_x = min(1.0, (sin / (max(cos, 1e-12) * k)) ** (1 / (q - 1)))
-        t_y = min(1.0, (cos / (max(sin, 1e-12) * k)) ** (1 / (q - 1)))
-        half_x = s * (a * t_x * sin + b * (1 - t_x**q) * cos)
-        half_y = s * (a * t_y * cos + b * (1 - t_y**q) * sin)
-        x, y = sum(p[0] for p in c) / 4, sum(p[1] for p in c) / 4
-        boxes.append((x - half_x, y - half_y, x + half_x, y + half_y))
+    for each in corners.tolist():
+        rectangle = shapely.Polygon(each).minimum_rotated_rectangle
+        boxes.append(published_rule(rectangle.exterior.coords[:4]))
     return np.array(boxes)
 
 
@@ -72,7 +84,8 @@ def peers(corners: np.ndarray) -> dict[str, Callable[[], object]]:
     found['shapely.bounds, prebuilt'] = lambda: shapely.bounds(polygons)
     found['shapely.bounds'] = lambda: shapely.bounds(shapely.polygons(corners))
     if len(corners) <= LOOP_AT_MOST:
-        found['published rule, loop'] = lambda: published_rule_loop(corners)
+        found['published rule, loop over polygons'] = lambda: polygon_loop(corners)
+        found['published rule, loop over corners'] = lambda: corner_loop(corners)
     try:
         from supervision.detection.utils.boxes import xyxyxyxy_to_xyxy
     except ImportError:

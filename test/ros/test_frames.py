@@ -16,7 +16,9 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
+from obbhbb_ros.boxes import FEW
 from obbhbb_ros.converter import HullRule
+from obbhbb_ros.converter import few_half_extents
 from obbhbb_ros.converter import half_extents
 from obbhbb_ros.converter import to_xyxy
 from obbhbb_ros.crops import CropSettings
@@ -46,12 +48,31 @@ def outputs(frame, theta_scale, keep_invalid, crop):
     return frame.stamp, class_ids, scores.tolist(), crops, written
 
 
+def outputs_of_few(frame, theta_scale):
+    """Do with a frame what the node does with one of a handful of detections, if it is one."""
+    rows = frame.few_boxes(theta_scale)
+    extents = None if rows is None else few_half_extents(rows, RULES[0])
+    if extents is None:
+        return None
+    return np.array(rows).tolist(), frame.few_boxes_message(extents)
+
+
+def outputs_of_any(frame, theta_scale):
+    """Do with a frame what the node does with one of any number of detections."""
+    boxes = frame.boxes(theta_scale)
+    return frame.boxes_message(boxes, half_extents(boxes, RULES[:1]), False)
+
+
 def assert_same(data, theta_scale=1.0, keep_invalid=False, crop=None):
     """Hold the two paths together."""
     crop = crop or CropSettings()
     fast = outputs(WireFrame(data, FORMS), theta_scale, keep_invalid, crop)
     typed = outputs(TypedFrame(data, Detection2DArray), theta_scale, keep_invalid, crop)
     np.testing.assert_equal(fast, typed)
+    few = outputs_of_few(WireFrame(data, FORMS), theta_scale)
+    assert few == outputs_of_few(TypedFrame(data, Detection2DArray), theta_scale)
+    if few is not None:
+        assert few[1] == outputs_of_any(WireFrame(data, FORMS), theta_scale)
 
 
 CROPS = st.builds(
@@ -92,6 +113,14 @@ def test_annotations(name) -> None:
         data = serialize_message(detections_message(labels, Header(frame_id='camera')))
         assert_same(data)
         assert_same(data, crop=CropSettings(padding=0.5, merge_max_size=500))
+
+
+@pytest.mark.parametrize('count', [0, 1, FEW - 1, FEW])
+def test_a_handful_of_detections_takes_the_shortest_way(count) -> None:
+    data = encode(Message(detections=(Detection(),) * count))
+    for frame in (WireFrame(data, FORMS), TypedFrame(data, Detection2DArray)):
+        few = outputs_of_few(frame, 1.0)
+        assert (few is not None) == (count < FEW)
 
 
 @pytest.mark.parametrize('keep_invalid', [False, True])

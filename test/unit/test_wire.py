@@ -18,6 +18,7 @@ from hypothesis import given
 from hypothesis import settings
 from hypothesis import strategies as st
 
+from obbhbb_ros.boxes import FEW
 from obbhbb_ros.wire import Detections
 from obbhbb_ros.wire import Forms
 from obbhbb_ros.wire import NotPlainCdrError
@@ -57,6 +58,19 @@ def test_rewriting_changes_the_boxes_and_nothing_else(order, message, padding) -
     rewritten = Detections(encode(message, order, padding), FORMS).rewrite(rows[:, 2:].T / 2)
     changed = tuple(map(resized, message.detections, rows))
     assert rewritten == encode(replace(message, detections=changed))
+
+
+@ORDERS
+@given(message=MESSAGES, padding=PADDING)
+def test_a_few_boxes_are_read_and_rewritten_as_many_are(order, message, padding) -> None:
+    data = encode(message, order, padding)
+    found, many = Detections(data, FORMS), Detections(data, FORMS)
+    rows = found.few_boxes()
+    assert (rows is not None) == (len(message.detections) < FEW)
+    if rows is not None:
+        np.testing.assert_array_equal(np.reshape(rows, (-1, 5)), many.xywhr())
+        extents = boxes(len(rows))[:, 2:] / 2
+        assert found.rewrite_few(extents.tolist()) == many.rewrite(extents.T)
 
 
 @ORDERS
