@@ -11,7 +11,8 @@ and the rules of CDR (XCDR1): a number of n bytes lies at a multiple of n from t
 
 Detections whose strings and sequences have the same lengths have their fields at the same
 places. Each such form is walked once and remembered as a `_Form`; the next detection of the
-same form costs a few look-ups, and a run of them is verified at once with NumPy.
+same form costs a few look-ups. Many detections are looked up all at once with NumPy, which is
+sure of where they start as each has to end where the next one starts.
 """
 
 from __future__ import annotations
@@ -436,6 +437,8 @@ class _Places:
 
     Attributes
     ----------
+    stride : ndarray of int, shape (F,)
+        How far it is to the next detection, in words.
     box : ndarray of int, shape (5, F)
         Where x, y, size x, size y and theta lie.
     score : ndarray of int, shape (F,)
@@ -549,7 +552,7 @@ class _Tables:
 
 def _padding_table(forms: Sequence[_Form]) -> IntArray | None:
     """Write the bytes between fields by form, see `_Places`."""
-    most = max(1, *(form.padding.size for form in forms), 1)
+    most = max([1, *(form.padding.size for form in forms)])
     if most > _MOST_PADDING:
         return None
     return np.array([
