@@ -32,6 +32,11 @@ class _Wait:
         Handles of what to wait for, by kind.
     context : Any
         Handle of the context.
+
+    Attributes
+    ----------
+    has_services : bool
+        Whether services are among it.
     """
 
     KINDS = ('subscription', 'guard_condition', 'timer', 'client', 'service')
@@ -42,6 +47,7 @@ class _Wait:
         self._additions = [
             (getattr(self._wait_set, f'add_{kind}'), groups[kind]) for kind in self.KINDS
         ]
+        self.has_services = bool(groups['service'])
         self._others = [kind for kind in self.KINDS[1:] if groups[kind]]
 
     def wait(self, nanoseconds: int) -> list[int]:
@@ -94,18 +100,10 @@ class ExpressExecutor(SingleThreadedExecutor):
             super().spin_once(timeout_sec)
             return
         try:
-            if self._waits is None:
-                self._waits = self._gather()
-            few, everything = self._waits
-            left = self._busy_until - time.monotonic()
-            if left > 0.0:
-                wait, timeout_sec = few, left if timeout_sec is None else min(left, timeout_sec)
-            else:
-                wait = everything
+            wait, timeout_sec = self._choose(timeout_sec)
             ready = wait.wait(_FOREVER if timeout_sec is None else int(timeout_sec * 1e9))
             if not self._context.ok():
                 raise ExternalShutdownException
-            # What else is ready is asked for only when the message is through.
             taken = None
             if subscription.handle.pointer in ready:
                 ready.remove(subscription.handle.pointer)
@@ -117,13 +115,32 @@ class ExpressExecutor(SingleThreadedExecutor):
         try:
             if taken is not None:
                 subscription.callback(taken[0])
-                if wait is everything:
+                if wait.has_services:
                     self._busy_until = time.monotonic() + _PATIENCE
         finally:
-            if ready or wait.others():
-                # A guard condition may tell of new entities.
-                self._waits = None
-                super().spin_once(0.0)
+            # What else is ready is asked for only now that the message is through.
+            self._see_to_others(wait, bool(ready))
+
+    def _choose(self, timeout_sec: float | None) -> tuple[_Wait, float | None]:
+        """Choose what to wait for, and for how long."""
+        if self._waits is None:
+            self._waits = self._gather()
+        few, everything = self._waits
+        left = self._busy_until - time.monotonic()
+        if left > 0.0:
+            return few, left if timeout_sec is None else min(left, timeout_sec)
+        return everything, timeout_sec
+
+    def _see_to_others(self, wait: _Wait, subscriptions: bool) -> None:
+        """Have another subscription, or anything else that is ready, served."""
+        others = wait.others()
+        if others:
+            # Where there is one request there may be more.
+            self._busy_until = 0.0
+        if others or subscriptions:
+            # A guard condition may tell of new entities.
+            self._waits = None
+            super().spin_once(0.0)
 
     def _gather(self) -> tuple[_Wait, _Wait]:
         """Make wait sets for what the node has now: without services, and for everything."""
@@ -135,5 +152,5 @@ class ExpressExecutor(SingleThreadedExecutor):
             for kind, group in zip(_Wait.KINDS, entities, strict=True)
         }
         context = self._context.handle
-        everything = _Wait(groups, context)
-        return _Wait({**groups, 'client': [], 'service': []}, context), everything
+        few = {**groups, 'client': [], 'service': []}
+        return _Wait(few, context), _Wait(groups, context)
