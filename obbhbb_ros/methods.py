@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 FloatArray: TypeAlias = NDArray[np.float64]
 # Of many boxes along both axes, (2, N), or of one box along one.
 Reach = TypeVar('Reach', float, FloatArray)
+_Array = np.ndarray
 Rule: TypeAlias = Callable[[FloatArray, FloatArray, float], FloatArray]
 
 # Keeps 0 / 0 from happening where a hull has no extent at all.
@@ -40,15 +41,15 @@ _TINY = float(np.finfo(np.float64).tiny)
 _AS_GOOD_AS_INFINITE = 1e100
 
 
-def maximum(one: Reach, other: Reach | float) -> Reach:
+def maximum(one: Reach, other: Reach) -> Reach:
     """Give the larger of two numbers, or of each two."""
     # On plain floats NumPy takes ten times as long.
-    return np.maximum(one, other) if isinstance(one, np.ndarray) else max(one, other)
+    return np.maximum(one, other) if isinstance(one, _Array) else max(one, other)
 
 
 def minimum(one: Reach, other: Reach) -> Reach:
     """Give the smaller of two numbers, or of each two."""
-    return np.minimum(one, other) if isinstance(one, np.ndarray) else min(one, other)
+    return np.minimum(one, other) if isinstance(one, _Array) else min(one, other)
 
 
 def root(number: Reach) -> Reach:
@@ -86,7 +87,7 @@ def superellipse(along: Reach, across: Reach, q: float) -> Reach:
     # The larger term is factored out, so that no power overflows whatever p is.
     larger = maximum(along, across)
     ratio = minimum(along, across)
-    ratio /= maximum(larger, _TINY)
+    ratio /= larger + _TINY
     ratio **= p
     ratio += 1.0
     ratio **= 1.0 / p

@@ -277,10 +277,10 @@ class _Form:
         self.moved = _moved(trace, start)
 
 
-def _runs(places: IntArray) -> list[tuple[int, int]]:
-    """Write rising numbers as runs, from the first to behind the last of each."""
+def _runs(places: IntArray) -> list[tuple[int, int, bytes]]:
+    """Write rising places as runs, from the first to behind the last, with as many zeros."""
     runs = np.split(places, np.flatnonzero(np.diff(places) > 1) + 1) if places.size else []
-    return [(int(run[0]), int(run[-1]) + 1) for run in runs]
+    return [(int(run[0]), int(run[-1]) + 1, bytes(len(run))) for run in runs]
 
 
 @dataclass(frozen=True)
@@ -1018,8 +1018,8 @@ class Detections:
         if self._few is not None:
             for start, number in self._found.pairs or ():
                 at = _BODY + 4 * start
-                for begin, behind in self._forms[number].gaps:
-                    self._buffer[at + begin : at + behind] = _PADDING[: behind - begin]
+                for begin, behind, zeros in self._forms[number].gaps:
+                    self._buffer[at + begin : at + behind] = zeros
             return
         starts, forms, table = self._found.starts, self._found.forms, self._places.padding
         body = self._body()
