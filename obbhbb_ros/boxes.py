@@ -286,6 +286,10 @@ def _in_blocks(
 
 def _boxes_of_corners(corners: FloatArray) -> OrientedBoxes:
     """Make boxes of corners, (n, 4, 2)."""
+    if len(corners) < FEW:
+        few = _few_corners(corners)
+        if few is not None:
+            return few
     # Transposed and quartered at once: all that follows runs along contiguous memory.
     quarters = np.multiply(corners.transpose(1, 2, 0), 0.25, order='C')
     if _none_large(quarters):
@@ -297,6 +301,30 @@ def _boxes_of_corners(corners: FloatArray) -> OrientedBoxes:
         boxes = _lay_corners(quarters)
         _mark_unusable(boxes)
         return boxes
+
+
+def _few_corners(corners: FloatArray) -> OrientedBoxes | None:
+    """Make so few boxes that NumPy would take longer; None if one is out of the ordinary."""
+    numbers = []
+    for corner in corners.tolist():
+        along_x, along_y = (_along_axis(*axis) for axis in zip(*corner, strict=True))
+        area = abs(along_x[1] * along_y[2] - along_y[1] * along_x[2])
+        # Where an area is finite so are the edges, and NaN is nowhere between.
+        if not (
+            area > SMALL**2 and max(map(abs, along_x)) < LARGE and max(map(abs, along_y)) < LARGE
+        ):
+            return None
+        numbers.append((along_x, along_y))
+    center, first, second = np.array(numbers, np.float64).reshape(-1, 2, 3).transpose(2, 1, 0)
+    return OrientedBoxes(center, first, second, np.zeros(len(numbers), np.uint8), True)
+
+
+def _along_axis(c0: float, c1: float, c2: float, c3: float) -> tuple[float, float, float]:
+    """Give centre and half edges of one box along one axis, as `_lay_corners` does."""
+    diagonal, other = 0.25 * c2 - 0.25 * c0, 0.25 * c3 - 0.25 * c1
+    first, second = diagonal - other, diagonal + other
+    middle = 0.25 * c2 + 0.25 * c0 if (first < 0.0) == (second < 0.0) else 0.25 * c3 + 0.25 * c1
+    return middle * 2.0, first, second
 
 
 def _boxes_of_xywhr(xywhr: FloatArray) -> OrientedBoxes:
