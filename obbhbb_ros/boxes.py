@@ -31,6 +31,8 @@ BLOCK = 8192
 
 # Fewer boxes than this are seen to one by one in less time than NumPy takes.
 FEW = 16
+# Of corners, which cost more steps each, even fewer.
+_FEW_CORNERS = 4
 
 # Of numbers up to here no product overflows; of sides from here on no area vanishes.
 LARGE = 1e150
@@ -286,7 +288,7 @@ def _in_blocks(
 
 def _boxes_of_corners(corners: FloatArray) -> OrientedBoxes:
     """Make boxes of corners, (n, 4, 2)."""
-    if len(corners) < FEW:
+    if len(corners) < _FEW_CORNERS:
         few = _few_corners(corners)
         if few is not None:
             return few
