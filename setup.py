@@ -10,6 +10,8 @@ from setuptools import setup
 PACKAGE = 'obbhbb_ros'
 MANIFEST = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
 
+NODES = ('obb_to_hbb', 'chip_extractor', 'play_detections')
+
 ROS = [
     'ros-jazzy-rclpy',
     'ros-jazzy-common-interfaces',
@@ -56,9 +58,7 @@ setup(
     entry_points={
         'console_scripts': [
             f'obbhbb = {PACKAGE}.cli:main',
-            f'obb_to_hbb = {PACKAGE}.nodes.obb_to_hbb:main',
-            f'chip_extractor = {PACKAGE}.nodes.chip_extractor:main',
-            f'play_detections = {PACKAGE}.nodes.play_detections:main',
+            *(f'{name} = {PACKAGE}.nodes.__main__:{name}' for name in NODES),
         ],
     },
     zip_safe=True,

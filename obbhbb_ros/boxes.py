@@ -39,6 +39,10 @@ LARGE = 1e150
 _FLOAT = np.dtype(np.float64)
 SMALL = 1e-150
 
+# Farther out a double no longer resolves a tenth of a pixel, and GEOS fails: from 1e15 on with an
+# exception or NaN, from 1e154 on, where squares overflow, with a segmentation fault.
+FARTHEST = 1e15
+
 
 def blocks(count: int) -> list[slice]:
     """Cut `count` rows into slices that fit a core's cache."""
@@ -46,13 +50,18 @@ def blocks(count: int) -> list[slice]:
 
 
 class Defect(IntEnum):
-    """Why a box cannot be converted; `NONE` where it can."""
+    """
+    Why a box cannot be converted; `NONE` where it can.
+
+    `NO_RECTANGLE`: a polygon has coordinates beyond `FARTHEST`, or shapely fails on it.
+    """
 
     NONE = 0
     NOT_FINITE = 1
     NEGATIVE_SIZE = 2
     EMPTY = 3
     TOO_FEW_POINTS = 4
+    NO_RECTANGLE = 5
 
 
 class OrientedBoxes:
@@ -178,6 +187,7 @@ class OrientedBoxes:
         boxes = cls.from_corners(corners)
         known = defects != Defect.NONE
         boxes.defects[known] = defects[known]
+        boxes.defects[~known & (boxes.defects == Defect.NOT_FINITE)] = Defect.NO_RECTANGLE
         return boxes
 
     def mark(self, which: NDArray[np.bool_], defect: Defect) -> None:
@@ -440,18 +450,41 @@ def _ring_defect(ring: FloatArray) -> Defect:
         return Defect.NOT_FINITE
     if len({(x, y) for x, y in ring.tolist()}) < 3:
         return Defect.TOO_FEW_POINTS
+    if np.abs(ring).max() > FARTHEST:
+        return Defect.NO_RECTANGLE
     return Defect.NONE
 
 
 def _minimum_rotated_rectangles(rings: Sequence[FloatArray]) -> FloatArray:
-    """Lay the smallest rectangle around each ring; (N, 4, 2), NaN where it has no area."""
+    """
+    Lay the smallest rectangle around each ring.
+
+    Returns
+    -------
+    ndarray, shape (N, 4, 2)
+        Corners; all zero where the rectangle has no area, NaN where shapely fails.
+    """
     owner = np.repeat(np.arange(len(rings)), [len(ring) for ring in rings])
     points = shapely.points(np.concatenate(rings))
     # The rectangle depends on the convex hull alone, so a crossed or open ring does no harm.
-    envelopes = shapely.oriented_envelope(shapely.multipoints(points, indices=owner))
+    envelopes = _oriented_envelopes(shapely.multipoints(points, indices=owner))
     corners = np.zeros((len(rings), 4, 2))
+    corners[shapely.is_missing(envelopes)] = np.nan
     has_area = shapely.get_type_id(envelopes) == shapely.GeometryType.POLYGON
     if has_area.any():
         coordinates = shapely.get_coordinates(envelopes[has_area])
         corners[has_area] = coordinates.reshape(-1, 5, 2)[:, :4]
     return corners
+
+
+def _oriented_envelopes(geometries: Any) -> Any:
+    """Lay oriented envelopes around geometries; None for those that GEOS fails on."""
+    try:
+        with np.errstate(all='ignore'):
+            return shapely.oriented_envelope(geometries)
+    except shapely.errors.GEOSException:
+        if len(geometries) == 1:
+            return np.array([None])
+    # It does not tell which of them it was.
+    return np.concatenate([_oriented_envelopes(geometries[i : i + 1])
+                           for i in range(len(geometries))])

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
+from obbhbb_ros.boxes import FARTHEST
 from obbhbb_ros.boxes import Defect
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.labels.records import NO_REFERENCE
@@ -25,6 +26,10 @@ PROBLEMS = {
     Defect.NOT_FINITE: 'the polygon has a coordinate that is not finite',
     Defect.EMPTY: 'the polygon has no area',
     Defect.TOO_FEW_POINTS: 'the polygon has fewer than three distinct points',
+    Defect.NO_RECTANGLE: (
+        f'no rectangle can be laid around the polygon: a coordinate beyond {FARTHEST:g}, or points '
+        'too close to tell apart'
+    ),
 }
 
 
@@ -146,6 +151,21 @@ def ring_of(values: object) -> FloatArray:
     return np.ascontiguousarray(ring[:, :2])
 
 
+def check_coordinates(points: FloatArray) -> None:
+    """
+    Check that polygons can be computed with.
+
+    Raises
+    ------
+    ValueError
+        If a coordinate is not finite, or so large that GEOS crashes on it or never ends.
+    """
+    if not np.isfinite(points).all():
+        raise ValueError(PROBLEMS[Defect.NOT_FINITE])
+    if np.abs(points).max(initial=0.0) > FARTHEST:
+        raise ValueError(PROBLEMS[Defect.NO_RECTANGLE])
+
+
 def outline(rings: Sequence[FloatArray], box: Box) -> tuple[Box, FloatArray]:
     """
     Add the hull that the outer rings of a ship's polygons show.
@@ -169,13 +189,12 @@ def outline(rings: Sequence[FloatArray], box: Box) -> tuple[Box, FloatArray]:
     Raises
     ------
     ValueError
-        If there is no ring, or a value is not finite.
+        If there is no ring, or a value is not finite or too large.
     """
     if not rings:
         raise ValueError('the polygon is empty')
     points = np.concatenate(rings)
-    if not np.isfinite(points).all():
-        raise ValueError(PROBLEMS[Defect.NOT_FINITE])
+    check_coordinates(points)
     ring = _without_closing(rings[0])
     if len(rings) > 1:
         ring = _convex_ring(points)

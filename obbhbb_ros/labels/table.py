@@ -41,6 +41,7 @@ from obbhbb_ros.labels.rows import ParseRow
 from obbhbb_ros.labels.rows import first_columns
 from obbhbb_ros.labels.rows import join_row
 from obbhbb_ros.labels.rows import read_rows
+from obbhbb_ros.labels.shapes import check_coordinates
 from obbhbb_ros.labels.shapes import upright_corners
 from obbhbb_ros.labels.text import join_numbers
 from obbhbb_ros.labels.text import parse_numbers
@@ -152,7 +153,9 @@ def _parse_hull(field: str) -> FloatArray | None:
     if len(points) < MIN_HULL_POINTS or any(len(point) != 2 for point in points):
         raise ValueError("mask is not a polygon 'x y;x y;x y', three points or more")
     numbers = parse_numbers([number for point in points for number in point])
-    return np.array(numbers, dtype=np.float64).reshape(-1, 2)
+    hull = np.array(numbers, dtype=np.float64).reshape(-1, 2)
+    check_coordinates(hull)
+    return hull
 
 
 def write(path: Path, images: list[ImageLabels]) -> None:

@@ -18,6 +18,7 @@ from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.registry import FORMATS
 from obbhbb_ros.labels.registry import format_named
 from obbhbb_ros.labels.registry import formats_for
+from obbhbb_ros.labels.shapes import check_coordinates
 
 
 def write_labels(
@@ -150,7 +151,10 @@ def _check(labels: ImageLabels) -> None:
     _check_finite(labels, 'scores', labels.scores)
     _check_finite(labels, 'reference', labels.reference[referenced])
     for hull in hulls:
-        _check_finite(labels, 'hulls', hull)
+        try:
+            check_coordinates(hull)
+        except ValueError as error:
+            raise ValueError(f'image {labels.image!r}: hulls: {error}') from None
         if hull.ndim != 2 or hull.shape[1] != 2 or len(hull) < MIN_HULL_POINTS:
             raise ValueError(f'image {labels.image!r}: a hull has shape {hull.shape}')
 

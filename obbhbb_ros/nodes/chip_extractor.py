@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from array import array
 from collections import Counter
@@ -31,7 +30,6 @@ from obbhbb_ros.nodes.chip_settings import ChipSettings
 from obbhbb_ros.nodes.chip_settings import build_chip_settings
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.messages import read_regions
-from obbhbb_ros.nodes.process import run
 from obbhbb_ros.pairing import Pairing
 from obbhbb_ros.pairing import Unpaired
 from obbhbb_ros.wire import Forms
@@ -207,12 +205,3 @@ class ChipExtractor(ManagedNode[ChipSettings]):
                 data=array('B', chip.data),
             )
         )
-
-
-def main(args: Sequence[str] | None = None) -> None:
-    """Run the node."""
-    sys.exit(run(ChipExtractor, args))
-
-
-if __name__ == '__main__':
-    main()

@@ -12,9 +12,7 @@ from typing import Any
 from typing import Generic
 
 from diagnostic_msgs.msg import DiagnosticArray
-from lifecycle_msgs.srv import ChangeState
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
 from rclpy.lifecycle import LifecycleState
 from rclpy.lifecycle import TransitionCallbackReturn
@@ -22,6 +20,7 @@ from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.monitor import PERIOD
 from obbhbb_ros.nodes.monitor import Monitor
 from obbhbb_ros.nodes.parameters import LiveParameters
@@ -79,7 +78,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
     ) -> None:
         super().__init__(name, **kwargs)
         self._parameters_in_force = LiveParameters[SettingsT](
-            self, table, build, self._parameter_overrides, per_class
+            self, table, build, internals.parameters_given(self), per_class
         )
         self._warn_of_unknown_parameters()
         self._monitor = Monitor(self, rates)
@@ -89,9 +88,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         self._inputs: list[Any] = []
         self._diagnostics_publisher: Any = None
         self._timer: Any = None
-        self._service_change_state.callback = self._answering_impossible_transitions(
-            self._service_change_state.callback
-        )
+        internals.refuse_impossible_transitions(self, self.get_logger().error)
 
     @abstractmethod
     def _create_topics(self) -> None:
@@ -163,9 +160,9 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         return super().on_error(state)
 
     @property
-    def express_subscription(self) -> Any:
-        """The subscription whose messages the executor hands over by the shortest way."""
-        return self._inputs[0] if self._inputs else None
+    def express_subscriptions(self) -> Sequence[Any]:
+        """The subscriptions whose messages the executor hands over by the short way, in order."""
+        return self._inputs
 
     def _output(self, message_type: Any, topic: str) -> Any:
         """Create a publisher that is silent while the node is not active."""
@@ -243,23 +240,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
 
     def _publish_diagnostics(self) -> None:
         """Tell how things are."""
-        state = self._state_machine.current_state[1]
+        state = internals.state_label(self)
         values: Mapping[str, Any] = self._parameters_in_force.values()
         report = self._monitor.report(state, values, self._facts())
         self._diagnostics_publisher.publish(report)
-
-    def _answering_impossible_transitions(self, answer: Any) -> Any:
-        """Have the service say no to a transition that the state does not have."""
-
-        def change_state(
-            request: ChangeState.Request, response: ChangeState.Response
-        ) -> ChangeState.Response:
-            # rclpy raises, which leaves the caller without a response.
-            try:
-                return answer(request, response)
-            except rclpy_implementation.RCLError as error:
-                self.get_logger().error(f'transition refused: {error}')
-                response.success = False
-                return response
-
-        return change_state

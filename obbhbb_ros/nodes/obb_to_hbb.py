@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
 from vision_msgs.msg import Detection2DArray
 
@@ -26,7 +25,6 @@ from obbhbb_ros.nodes.frames import Frame
 from obbhbb_ros.nodes.frames import TypedFrame
 from obbhbb_ros.nodes.frames import WireFrame
 from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.process import run
 from obbhbb_ros.nodes.settings import CLASS_TABLE
 from obbhbb_ros.nodes.settings import DETECTIONS
 from obbhbb_ros.nodes.settings import TABLE
@@ -74,10 +72,11 @@ class ObbToHbb(ManagedNode[Settings]):
         self._boxes_publisher = self._output(Detection2DArray, 'boxes')
         self._crops_publisher = self._output(Detection2DArray, 'crop_regions')
         topic = 'detections' if self._input_type == DETECTIONS else 'polygons'
-        self._subscription = self._input(self._message_type, topic, self._on_message, raw=True)
+        # First, so that the size that was published before a message is known by then.
         self._camera_subscription = self._input(
-            CameraInfo, 'camera_info', self._on_camera_info
+            CameraInfo, 'camera_info', self._on_camera_info, raw=True
         )
+        self._subscription = self._input(self._message_type, topic, self._on_message, raw=True)
         self._camera_size = (0, 0)
 
     def _facts(self) -> dict[str, str]:
@@ -88,27 +87,13 @@ class ObbToHbb(ManagedNode[Settings]):
         saved = 1.0 - self._monitor.counts['crop_pixels.compared'] / outer
         return {'crop_pixels.saved_percent': f'{100.0 * saved:.1f}'}
 
-    def _on_camera_info(self, info: CameraInfo) -> None:
+    def _on_camera_info(self, data: bytes) -> None:
         """Learn the size of the image."""
-        self._camera_size = messages.image_size(info)
-
-    def _take_camera_info(self) -> None:
-        """
-        Learn the size that was published before the message at hand.
-
-        The executor may hand over the message first, though it has both.
-        """
-        subscription = self._camera_subscription
         try:
-            while taken := subscription.handle.take_message(subscription.msg_type, False):
-                self._on_camera_info(taken[0])
+            self._camera_size = messages.image_size(deserialize_message(data, CameraInfo))
         except Exception as error:
-            self._monitor.add('messages_unreadable')
-            self._warn(
-                'unreadable camera_info',
-                f'dropped a message on {subscription.topic_name}, '
-                f'it cannot be read as CameraInfo: {error}',
-            )
+            topic = self._camera_subscription.topic_name
+            self._drop_unreadable(data, topic, 'CameraInfo', error)
 
     def _on_message(self, data: bytes) -> None:
         """Convert one message under one snapshot of the parameters."""
@@ -205,7 +190,6 @@ class ObbToHbb(ManagedNode[Settings]):
 
     def _image_size(self, settings: Settings) -> tuple[int, int] | None:
         """Tell the size of the image; warn and give None if it is not known."""
-        self._take_camera_info()
         width, height = (
             given or seen
             for given, seen in zip(settings.image_size, self._camera_size, strict=True)
@@ -273,12 +257,3 @@ class ObbToHbb(ManagedNode[Settings]):
 def _wanted(publisher: Any) -> bool:
     """Tell whether a topic has a subscriber."""
     return bool(publisher.get_subscription_count())
-
-
-def main(args: Sequence[str] | None = None) -> None:
-    """Run the node."""
-    sys.exit(run(ObbToHbb, args))
-
-
-if __name__ == '__main__':
-    main()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-import sys
 from array import array
 from collections.abc import Iterator
 from collections.abc import Mapping
@@ -37,10 +36,10 @@ from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.images import find_images
 from obbhbb_ros.labels.images import load_image
+from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.messages import message_type
 from obbhbb_ros.nodes.parameters import LiveParameters
 from obbhbb_ros.nodes.parameters import ParameterSpec
-from obbhbb_ros.nodes.process import run
 from obbhbb_ros.nodes.settings import DETECTIONS
 from obbhbb_ros.nodes.settings import IMAGE_SIZE_LIMIT
 from obbhbb_ros.nodes.settings import POLYGON
@@ -130,7 +129,7 @@ class PlayDetections(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__('play_detections', **kwargs)
         self._parameters_in_force = LiveParameters[PlayerSettings](
-            self, TABLE, _build_settings, self._parameter_overrides
+            self, TABLE, _build_settings, internals.parameters_given(self)
         )
         values: dict[str, Any] = self._parameters_in_force.values()
         self._output_type = values['output_type']
@@ -339,12 +338,3 @@ def polygon_message(corners: Sequence[Sequence[float]], header: Header) -> Polyg
     """Write one label as a `PolygonStamped`; its coordinates are single precision."""
     points = [Point32(x=x, y=y) for x, y in corners]
     return PolygonStamped(header=header, polygon=Polygon(points=points))
-
-
-def main(args: Sequence[str] | None = None) -> None:
-    """Run the player."""
-    sys.exit(run(PlayDetections, args))
-
-
-if __name__ == '__main__':
-    main()

@@ -38,7 +38,7 @@ class RemoteConverter:
 
     def __enter__(self) -> RemoteConverter:
         """Start the node and wait until it is there."""
-        command = [sys.executable, '-m', 'obbhbb_ros.nodes.obb_to_hbb', '--ros-args']
+        command = [sys.executable, '-m', 'obbhbb_ros.nodes', 'obb_to_hbb', '--ros-args']
         self._process = subprocess.Popen([*command, '-r', f'__ns:={self._namespace}'])
         try:
             self._connect()

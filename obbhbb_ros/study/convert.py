@@ -42,6 +42,7 @@ REASONS = {
     Defect.NEGATIVE_SIZE: 'negative size',
     Defect.EMPTY: 'empty',
     Defect.TOO_FEW_POINTS: 'too few points',
+    Defect.NO_RECTANGLE: 'no rectangle',
 }
 OVERFLOW = 'overflow'
 

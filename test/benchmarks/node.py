@@ -28,7 +28,7 @@ from obbhbb_ros.study.summary import text_table
 
 HERE = Path(__file__).parent
 TICKS = os.sysconf('SC_CLK_TCK')
-OURS = [sys.executable, '-m', 'obbhbb_ros.nodes.obb_to_hbb']
+OURS = [sys.executable, '-m', 'obbhbb_ros.nodes', 'obb_to_hbb']
 IMAGE = ['-p', 'image_width:=4096', '-p', 'image_height:=4096']
 NODES = {
     'echo': [sys.executable, str(HERE / 'peers.py'), 'echo'],

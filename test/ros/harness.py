@@ -74,7 +74,7 @@ class NodeProcess:
         arguments: Sequence[str] = (),
         parameters: Mapping[str, Any] | None = None,
     ) -> None:
-        command = [sys.executable, '-m', f'obbhbb_ros.nodes.{executable}', '--ros-args']
+        command = [sys.executable, '-m', 'obbhbb_ros.nodes', executable, '--ros-args']
         for name, value in (parameters or {}).items():
             command += ['-p', f'{name}:={yaml_value(value)}']
         self.path = log

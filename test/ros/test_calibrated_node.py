@@ -54,7 +54,7 @@ def converted(message, path):
     """Send a message to a node that was started with a parameter file."""
     namespace = '/test_calibrated_node'
     process = subprocess.Popen([
-        sys.executable, '-m', 'obbhbb_ros.nodes.obb_to_hbb', '--ros-args',
+        sys.executable, '-m', 'obbhbb_ros.nodes', 'obb_to_hbb', '--ros-args',
         '--params-file', str(path), '-r', f'__ns:={namespace}',
     ])
     context, answers = Context(), []

@@ -20,11 +20,13 @@ from ships import axis_aligned
 from ships import collection
 from ships import detections
 from ships import fleet
+from ships import polygon
 from ships import rows_of
 from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros.converter import HullRule
+from obbhbb_ros.nodes.settings import POLYGON
 from obbhbb_ros.nodes.settings import POLYGONS
 
 NAN, INF = float('nan'), float('inf')
@@ -147,6 +149,12 @@ def test_one_kind_of_warning_does_not_silence_another(start: Callable[..., Conve
 # Polygons -------------------------------------------------------------------------------------
 
 SQUARE = [(0.0, 0.0), (8.0, 0.0), (8.0, 8.0), (0.0, 8.0)]
+B = 1e308
+CRASHES_GEOS = [
+    (0.0, 0.0), (B, 1.0), (B, B), (B, 6.0), (1.0, 7.0), (0.0, 8.0), (1.0, B), (0.0, 10.0),
+    (1.0, 0.0), (0.0, 16.0), (0.0, 17.0), (B, 21.0), (0.0, B), (1.0, 24.0), (1.0, 25.0),
+    (0.0, 26.0), (1.0, 28.0),
+]
 POINTLESS = [
     ([], 'too_few_points'),
     ([(1.0, 2.0)], 'too_few_points'),
@@ -155,6 +163,9 @@ POINTLESS = [
     ([(1.0, 1.0), (2.0, 2.0), (3.0, 3.0)], 'empty'),
     ([(1.0, 1.0), (NAN, 2.0), (3.0, 1.0)], 'not_finite'),
     ([(1.0, 1.0), (2.0, INF), (3.0, 1.0)], 'not_finite'),
+    # GEOS crashes on the first and raises on the second.
+    (CRASHES_GEOS, 'no_rectangle'),
+    ([(1e160, 1e154), (1e155, 1e160), (1.0, 0.0), (1e154, 1.0), (1e155, 100.0)], 'no_rectangle'),
 ]
 
 
@@ -190,6 +201,14 @@ def test_polygons_without_area_are_kept_as_no_numbers(polygons: Converter) -> No
     np.testing.assert_array_equal(rows[:1], axis_aligned(OrientedBoxes.from_polygons([SQUARE])))
     assert np.isnan(rows[1:, :4]).all()
     assert len(rows) == 1 + len(POINTLESS)
+
+
+def test_a_stamped_polygon_that_has_no_rectangle_is_answered(site: Site) -> None:
+    with Converter(site, parameters={'input_type': POLYGON}) as node:
+        node.connect()
+        answer = node.convert(polygon([(0.0, 0.0), (3e38, 1.0), (1.0, 3e38), (3e38, 3e38)]))
+        assert answer.detections == []
+        assert node.counts()['detections_dropped.no_rectangle'] == 1
 
 
 # Bytes that are no message --------------------------------------------------------------------

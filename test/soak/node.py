@@ -49,7 +49,7 @@ class Soak:
         # Best effort by default: where nothing may be lost, a user asks for it like this.
         qos = f'qos_overrides.{namespace}/detections.subscription'
         self._process = subprocess.Popen([
-            sys.executable, '-m', 'obbhbb_ros.nodes.obb_to_hbb',
+            sys.executable, '-m', 'obbhbb_ros.nodes', 'obb_to_hbb',
             '--ros-args', '-r', f'__ns:={namespace}',
             '-p', f'{qos}.reliability:=reliable', '-p', f'{qos}.depth:=100',
         ])

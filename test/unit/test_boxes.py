@@ -8,8 +8,15 @@ from hypothesis import strategies as st
 from strategies import xywhr
 
 from obbhbb_ros import OrientedBoxes
+from obbhbb_ros.boxes import FARTHEST
 from obbhbb_ros.boxes import Defect
 
+# The largest double but for its digits: its square overflows, and GEOS follows.
+_B = 1e308
+CRASHES_GEOS = [
+    (0, 0), (_B, 1), (_B, _B), (_B, 6), (1, 7), (0, 8), (1, _B), (0, 10), (1, 0), (0, 16), (0, 17),
+    (_B, 21), (0, _B), (1, 24), (1, 25), (0, 26), (1, 28),
+]
 SQUARE_ON_ITS_TIP = [[2.0, 0.0], [4.0, 2.0], [2.0, 4.0], [0.0, 2.0]]
 
 
@@ -106,11 +113,34 @@ def test_boxes_with_different_defects_are_told_apart_in_one_batch() -> None:
         (np.empty((0, 2)), Defect.TOO_FEW_POINTS),
         ([[0, 0], [1, 1], [2, 2]], Defect.EMPTY),
         ([[0, 0], [1, np.nan], [2, 0]], Defect.NOT_FINITE),
+        ([[0, 0], [1, 0], [0, 1.1 * FARTHEST]], Defect.NO_RECTANGLE),
+        (CRASHES_GEOS, Defect.NO_RECTANGLE),
+        ([(1e160, 1e154), (1e155, 1e160), (1, 0), (1e154, 1), (1e155, 100)], Defect.NO_RECTANGLE),
     ],
 )
 def test_a_polygon_without_a_rectangle_is_marked(polygon, defect) -> None:
-    boxes = OrientedBoxes.from_polygons([SQUARE_ON_ITS_TIP, polygon])
-    assert boxes.defects.tolist() == [Defect.NONE, defect]
+    boxes = OrientedBoxes.from_polygons([SQUARE_ON_ITS_TIP, polygon, SQUARE_ON_ITS_TIP])
+    assert boxes.defects.tolist() == [Defect.NONE, defect, Defect.NONE]
+    assert np.isnan(boxes.center[:, 1]).all()
+    np.testing.assert_allclose(boxes.length[[0, 2]], 8**0.5)
+
+
+def test_a_polygon_that_geos_raises_on_costs_its_neighbours_nothing() -> None:
+    thin = [
+        (6.8500510593043965e-301, -477738976.99282265), (3.3333333333333334e-301, 1),
+        (0, -5.336e-321), (-3.3e-322, -796928573.3537534),
+    ]
+    boxes = OrientedBoxes.from_polygons([SQUARE_ON_ITS_TIP, thin, SQUARE_ON_ITS_TIP])
+    assert boxes.valid.tolist() == [True, False, True]
+
+
+ANYWHERE = st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 2)
+
+
+@given(st.lists(st.lists(ANYWHERE, min_size=3, max_size=12), max_size=5))
+def test_whatever_its_coordinates_a_polygon_is_converted_or_marked(polygons) -> None:
+    boxes = OrientedBoxes.from_polygons(polygons)
+    np.testing.assert_array_equal(np.isfinite(boxes.corners).all(axis=(1, 2)), boxes.valid)
 
 
 @pytest.mark.parametrize(
