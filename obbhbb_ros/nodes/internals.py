@@ -35,7 +35,8 @@ def missing(executor: Executor) -> list[str]:
 
 def has_tasks(executor: Executor) -> bool:
     """Tell whether an executor has coroutines in progress."""
-    return bool(executor._tasks)
+    # Those that are done stay in its list until it waits again.
+    return any(not task.done() for task, _, _ in executor._tasks)
 
 
 class KeptWaitSet:
