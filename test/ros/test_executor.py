@@ -1,0 +1,307 @@
+"""The express executor beside the stock one: whatever the contract of an executor promises."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from harness import Site
+from rcl_interfaces.srv import GetParameters
+from rclpy.context import Context
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import Executor
+from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.task import Future
+from std_msgs.msg import Bool
+
+from obbhbb_ros.nodes import internals
+from obbhbb_ros.nodes import process
+from obbhbb_ros.nodes.executor import ExpressExecutor
+from obbhbb_ros.nodes.executor import UnknownRclpyError
+
+DEEP = QoSProfile(depth=100)
+SECONDS = 20.0
+
+
+class Busy(Node):
+    """A node with two express subscriptions."""
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        super().__init__(name, **kwargs)
+        self.heard: list[str] = []
+        self.express_subscriptions = [
+            self.create_subscription(
+                Bool, topic, lambda _, topic=topic: self.heard.append(topic), DEEP, raw=True
+            )
+            for topic in ('first', 'second')
+        ]
+
+
+class Scene:
+    """An executor with a busy node, and everything that may be added to them."""
+
+    def __init__(self, kind: type[Executor], site: Site) -> None:
+        self._context = site.context
+        self.executor = kind(context=site.context)
+        self._nodes: list[Node] = []
+        self.node = self.add(Busy)
+
+    def add(self, kind: type[Node] = Node) -> Any:
+        name = f'executor_test_{id(self)}_{len(self._nodes)}'
+        node = kind(name, namespace=f'/executor_{id(self)}', context=self._context)
+        self.executor.add_node(node)
+        self._nodes.append(node)
+        return node
+
+    def publishers(self) -> list[Any]:
+        """Give publishers of both topics, from a node that the executor does not run."""
+        node = Node('peer', namespace=self.node.get_namespace(), context=self._context)
+        self._nodes.append(node)
+        made = [node.create_publisher(Bool, topic, DEEP) for topic in ('first', 'second')]
+        self.spin_until(lambda: all(each.get_subscription_count() for each in made))
+        return made
+
+    def spin_until(self, condition: Callable[[], Any]) -> None:
+        deadline = time.monotonic() + SECONDS
+        while not condition():
+            assert time.monotonic() < deadline, 'waited in vain'
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def spin_for(self, seconds: float) -> None:
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0.0:
+            self.executor.spin_once(timeout_sec=left)
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        for node in self._nodes:
+            node.destroy_node()
+
+
+@pytest.fixture(params=[SingleThreadedExecutor, ExpressExecutor], ids=['stock', 'express'])
+def scene(request: pytest.FixtureRequest, site: Site) -> Iterator[Scene]:
+    scene = Scene(request.param, site)
+    yield scene
+    scene.close()
+
+
+def test_every_trigger_of_a_guard_condition_is_answered(scene: Scene) -> None:
+    calls: list[int] = []
+    guard = scene.node.create_guard_condition(lambda: calls.append(1))
+    for count in range(1, 6):
+        guard.trigger()
+        scene.spin_until(lambda count=count: len(calls) == count)
+
+
+def test_a_guard_condition_of_another_node_is_answered(scene: Scene) -> None:
+    calls: list[int] = []
+    scene.spin_for(0.2)
+    guard = scene.add().create_guard_condition(lambda: calls.append(1))
+    scene.spin_for(0.1)
+    guard.trigger()
+    scene.spin_until(lambda: calls)
+
+
+def test_the_timers_of_all_nodes_run_at_their_pace(scene: Scene) -> None:
+    calls = {'own': 0, 'other': 0}
+
+    def count(name: str) -> None:
+        calls[name] += 1
+
+    scene.node.create_timer(0.05, lambda: count('own'))
+    other = scene.add()
+    other.create_timer(0.05, lambda: count('other'))
+    scene.spin_for(1.5)
+    assert min(calls.values()) > 15
+    scene.executor.remove_node(other)
+    scene.spin_for(0.1)
+    before = calls['other']
+    scene.spin_for(0.5)
+    assert calls['other'] == before
+    assert calls['own'] > 20
+
+
+def test_events_reach_their_callbacks(scene: Scene) -> None:
+    matched: list[Any] = []
+    scene.spin_for(0.2)
+    scene.node.create_subscription(
+        Bool, 'third', print, DEEP,
+        event_callbacks=SubscriptionEventCallbacks(matched=matched.append),
+    )
+    scene.spin_for(0.1)
+    publisher = scene.node.create_publisher(Bool, 'third', DEEP)
+    scene.spin_until(lambda: matched)
+    assert matched[0].current_count == 1
+    scene.node.destroy_publisher(publisher)
+    scene.spin_until(lambda: len(matched) > 1)
+
+
+def test_services_are_answered_while_messages_stream_in(scene: Scene) -> None:
+    first, _ = scene.publishers()
+    scene.node.create_timer(0.001, lambda: first.publish(Bool()))
+    client = scene.add().create_client(GetParameters, f'{scene.node.get_name()}/get_parameters')
+    scene.spin_until(client.service_is_ready)
+    scene.executor.remove_node(scene.node)
+    scene.executor.add_node(scene.node)
+    for _ in range(5):
+        future = client.call_async(GetParameters.Request(names=['use_sim_time']))
+        scene.spin_until(future.done)
+        assert len(future.result().values) == 1
+    assert scene.node.heard
+
+
+def test_no_subscription_waits_for_another_to_run_dry(scene: Scene) -> None:
+    publishers = scene.publishers()
+    for _ in range(20):
+        for publisher in publishers:
+            publisher.publish(Bool())
+    # A stall: all of it has arrived by now.
+    time.sleep(0.5)
+    scene.spin_until(lambda: len(scene.node.heard) == 40)
+    for i in range(0, 40, 2):
+        assert set(scene.node.heard[i : i + 2]) == {'first', 'second'}
+
+
+def test_what_is_created_and_destroyed_meanwhile_is_seen(scene: Scene) -> None:
+    first, second = scene.publishers()
+    calls: list[int] = []
+    timer = scene.node.create_timer(0.01, lambda: calls.append(1))
+    scene.spin_until(lambda: len(calls) > 2)
+    scene.node.destroy_timer(timer)
+    scene.node.destroy_subscription(scene.node.express_subscriptions.pop())
+    scene.spin_for(0.1)
+    count = len(calls)
+    first.publish(Bool())
+    second.publish(Bool())
+    scene.spin_until(lambda: scene.node.heard)
+    scene.spin_for(0.2)
+    assert scene.node.heard == ['first']
+    assert len(calls) == count
+
+
+def test_tasks_run_and_coroutines_go_on_when_what_they_wait_for_is_there(scene: Scene) -> None:
+    first, _ = scene.publishers()
+    done: list[str] = []
+    scene.spin_for(0.2)
+    for name in ('one', 'two'):
+        scene.executor.create_task(lambda name=name: done.append(name))
+    scene.spin_until(lambda: sorted(done) == ['one', 'two'])
+    future: Future = Future()
+
+    async def wait() -> None:
+        done.append(await future)
+
+    scene.executor.create_task(wait)
+    scene.spin_for(0.1)
+    scene.node.create_timer(0.1, lambda: future.done() or future.set_result('three'))
+    first.publish(Bool())
+    scene.spin_until(lambda: 'three' in done)
+    assert scene.node.heard
+
+
+def test_an_error_in_a_callback_reaches_the_caller_and_loses_nothing(scene: Scene) -> None:
+    first, second = scene.publishers()
+    scene.node.heard.clear()
+    # The attribute is public, and read by both executors.
+    scene.node.express_subscriptions[0].callback = lambda _: 1 / 0
+    first.publish(Bool())
+    second.publish(Bool())
+    time.sleep(0.2)
+    with pytest.raises(ZeroDivisionError):
+        scene.spin_until(lambda: False)
+    scene.spin_until(lambda: scene.node.heard == ['second'])
+
+
+def test_a_wait_ends_with_its_time(scene: Scene) -> None:
+    scene.spin_for(0.3)
+    started = time.monotonic()
+    scene.executor.spin_once(timeout_sec=0.2)
+    assert time.monotonic() - started < 5.0
+
+
+def test_the_end_of_the_context_ends_a_wait(scene: Scene) -> None:
+    context = Context()
+    context.init()
+    executor = type(scene.executor)(context=context)
+    executor.add_node(Busy('short_lived', context=context))
+    ending = threading.Timer(0.5, context.try_shutdown)
+    ending.start()
+    with pytest.raises(ExternalShutdownException):
+        for _ in range(1000):
+            executor.spin_once(timeout_sec=SECONDS)
+    ending.join()
+    executor.shutdown()
+
+
+def test_a_wake_returns_from_a_wait_at_once(site: Site) -> None:
+    scene = Scene(ExpressExecutor, site)
+    scene.spin_for(0.3)
+    started = time.monotonic()
+    scene.executor.wake()
+    scene.executor.spin_once(timeout_sec=10.0)
+    assert time.monotonic() - started < 5.0
+    scene.close()
+
+
+def test_messages_take_the_short_way_only_where_it_is_open(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[Any] = []
+    take = internals.take
+    monkeypatch.setattr(internals, 'take', lambda each: taken.append(each) or take(each))
+    scene = Scene(ExpressExecutor, site)
+    first, _ = scene.publishers()
+
+    def heard_by_the_short_way() -> bool:
+        taken.clear()
+        before = len(scene.node.heard)
+        first.publish(Bool())
+        scene.spin_until(lambda: len(scene.node.heard) > before)
+        return bool(taken)
+
+    scene.spin_for(0.2)
+    assert heard_by_the_short_way()
+    guard = scene.node.create_guard_condition(print)
+    scene.spin_for(0.2)
+    assert not heard_by_the_short_way()
+    scene.node.destroy_guard_condition(guard)
+    scene.spin_for(0.2)
+    assert heard_by_the_short_way()
+    other = scene.add()
+    scene.spin_for(0.2)
+    assert not heard_by_the_short_way()
+    scene.executor.remove_node(other)
+    scene.spin_for(0.2)
+    assert heard_by_the_short_way()
+    scene.close()
+
+
+def test_another_rclpy_gets_its_own_executor_and_a_warning(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(internals, '_OF_AN_EXECUTOR', ('_guard', '_of_another_release'))
+    with pytest.raises(UnknownRclpyError, match='_of_another_release'):
+        ExpressExecutor(context=site.context)
+    node = Busy('other_release', context=site.context)
+    warnings: list[str] = []
+    monkeypatch.setattr(node, 'get_logger', lambda: Logger(warnings))
+    executor = process.executor_for(node)
+    assert type(executor) is SingleThreadedExecutor
+    assert executor.get_nodes() == [node]
+    assert '_of_another_release' in warnings[0]
+    executor.shutdown()
+    node.destroy_node()
+
+
+class Logger:
+    """Keeps warnings."""
+
+    def __init__(self, warnings: list[str]) -> None:
+        self.warning = warnings.append
