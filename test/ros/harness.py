@@ -98,6 +98,13 @@ class NodeProcess:
     def send_signal(self, number: int) -> None:
         self._process.send_signal(number)
 
+    @property
+    def has_signals_in_hand(self) -> bool:
+        """Whether the process blocks SIGINT, which is the first thing that it does."""
+        status = Path(f'/proc/{self.pid}/status').read_text(encoding='ascii')
+        (mask,) = (line.split()[1] for line in status.splitlines() if line.startswith('SigBlk'))
+        return bool(int(mask, 16) >> (signal.SIGINT - 1) & 1)
+
     def wait(self, timeout: float = TIMEOUT) -> int:
         """Wait for the end and give the exit code."""
         return self._process.wait(timeout)

@@ -75,14 +75,18 @@ class Scene:
             self.executor.spin_once(timeout_sec=0.1)
 
     def spin_for(self, seconds: float) -> None:
-        deadline = time.monotonic() + seconds
-        while (left := deadline - time.monotonic()) > 0.0:
-            self.executor.spin_once(timeout_sec=left)
+        spin(self.executor, seconds)
 
     def close(self) -> None:
         self.executor.shutdown()
         for node in self._nodes:
             node.destroy_node()
+
+
+def spin(executor: Executor, seconds: float) -> None:
+    deadline = time.monotonic() + seconds
+    while (left := deadline - time.monotonic()) > 0.0:
+        executor.spin_once(timeout_sec=left)
 
 
 @pytest.fixture(params=[SingleThreadedExecutor, ExpressExecutor], ids=['stock', 'express'])
@@ -234,8 +238,7 @@ def test_the_end_of_the_context_ends_a_wait(scene: Scene) -> None:
     ending = threading.Timer(0.5, context.try_shutdown)
     ending.start()
     with pytest.raises(ExternalShutdownException):
-        for _ in range(1000):
-            executor.spin_once(timeout_sec=SECONDS)
+        spin(executor, SECONDS)
     ending.join()
     executor.shutdown()
 

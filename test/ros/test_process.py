@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Mapping
@@ -178,6 +182,52 @@ def test_a_signal_ends_a_node_that_is_not_configured_cleanly(start: Start, numbe
     assert node.state() == 'unconfigured'
     node.process.send_signal(number)
     assert_clean_end(node)
+
+
+EXECUTABLES = ['obb_to_hbb', 'chip_extractor', 'play_detections']
+# From the first line, through imports and the making of the node, to a node that runs.
+MOMENTS = [0.0, 0.1, 0.5, 1.0]
+# A terminal's Ctrl-C reaches a launched node twice; what comes after that finds it ending.
+BURSTS = {
+    'twice at once': [(0.0, signal.SIGINT), (0.0, signal.SIGINT)],
+    'twice': [(0.0, signal.SIGINT), (0.02, signal.SIGINT)],
+    'both': [(0.0, signal.SIGINT), (0.05, signal.SIGTERM), (0.0, signal.SIGINT)],
+    'at the end': [(0.0, signal.SIGTERM), *[(0.01, signal.SIGINT)] * 30],
+}
+
+
+@pytest.mark.skipif(not Path('/proc/self/status').exists(), reason='needs Linux')
+@pytest.mark.parametrize('burst', BURSTS.values(), ids=BURSTS)
+@pytest.mark.parametrize('executable', EXECUTABLES)
+def test_however_often_and_whenever_signals_come_the_end_is_clean(
+    site: Site, tmp_path: Path, executable: str, burst: list[tuple[float, int]]
+) -> None:
+    for moment in MOMENTS:
+        process = NodeProcess(executable, tmp_path / f'{moment}.log')
+        while not process.has_signals_in_hand:
+            time.sleep(0.001)
+        time.sleep(moment)
+        for pause, number in burst:
+            time.sleep(pause)
+            process.send_signal(number)
+        assert process.wait(SOON) == 0, (moment, process.log)
+        assert not re.search('Traceback|rror|KeyboardInterrupt', process.log)
+
+
+def test_a_node_that_does_not_come_to_its_end_says_where_it_is(
+    site: Site, tmp_path: Path
+) -> None:
+    code = (
+        'import time; from obbhbb_ros.nodes.stop import Stop; stop = Stop(); stop.patience = 1.5\n'
+        'time.sleep(60)'
+    )
+    process = subprocess.Popen([sys.executable, '-c', code], stderr=subprocess.PIPE, text=True)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGTERM)
+    _, text = process.communicate(timeout=SOON)
+    assert process.returncode == 1
+    assert 'not ended 1.5 s after a signal' in text
+    assert 'File "<string>", line 2' in text
 
 
 def cpu_seconds(node: Converter) -> float:
