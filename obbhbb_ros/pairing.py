@@ -50,14 +50,23 @@ class Pairing:
     ----------
     let_go : callable
         Called with kind, reason and item for every item that finds no partner.
+    ran_back : callable
+        Called with kind, latest stamp and new stamp where the new one is the earlier: a bag that
+        loops, a clock that was set back.
     """
 
-    def __init__(self, let_go: Callable[[int, Unpaired, Any], None]) -> None:
+    def __init__(
+        self,
+        let_go: Callable[[int, Unpaired, Any], None],
+        ran_back: Callable[[int, Stamp, Stamp], None],
+    ) -> None:
         self._let_go = let_go
+        self._ran_back = ran_back
+        self._latest: list[Stamp] = [(0, 0), (0, 0)]
         self._waiting: tuple[OrderedDict[Stamp, tuple[float, Any]], ...] = (
             OrderedDict(), OrderedDict()
         )
-        self._paired: OrderedDict[Stamp, None] = OrderedDict()
+        self._paired: OrderedDict[Stamp, float] = OrderedDict()
 
     def waiting(self, kind: int) -> list[Any]:
         """List the items of a kind that wait for a partner, the oldest first."""
@@ -91,14 +100,21 @@ class Pairing:
         if stamp == (0, 0):
             self._let_go(kind, Unpaired.ZERO_STAMP, item)
             return None
+        if stamp < self._latest[kind]:
+            self._ran_back(kind, self._latest[kind], stamp)
+            # What comes now has been there before, and is to be paired again.
+            self._paired.clear()
+        self._latest[kind] = stamp
         mine, others = self._waiting[kind], self._waiting[1 - kind]
-        if stamp in mine or stamp in self._paired:
+        if stamp in self._paired:
             self._let_go(kind, Unpaired.DUPLICATE, item)
             return None
         if stamp in others:
             _, other = others.pop(stamp)
-            self._remember(stamp)
+            self._remember(stamp, now)
             return (item, other) if kind == 0 else (other, item)
+        if stamp in mine:
+            self._let_go(kind, Unpaired.DUPLICATE, mine.pop(stamp)[1])
         mine[stamp] = now, item
         while len(mine) > limits.capacity[kind]:
             self._let_first_go(kind, Unpaired.CROWDED_OUT)
@@ -109,6 +125,8 @@ class Pairing:
         for kind, waiting in enumerate(self._waiting):
             while waiting and now - next(iter(waiting.values()))[0] > limits.max_age:
                 self._let_first_go(kind, Unpaired.EXPIRED)
+        while self._paired and now - next(iter(self._paired.values())) > limits.max_age:
+            self._paired.popitem(last=False)
 
     def clear(self) -> None:
         """Let everything go."""
@@ -121,8 +139,8 @@ class Pairing:
         _, (_, item) = self._waiting[kind].popitem(last=False)
         self._let_go(kind, reason, item)
 
-    def _remember(self, stamp: Stamp) -> None:
-        """Know a stamp that had its pair, for a while."""
-        self._paired[stamp] = None
+    def _remember(self, stamp: Stamp, now: float) -> None:
+        """Know a stamp that had its pair, as long as another item of it may be on its way."""
+        self._paired[stamp] = now
         if len(self._paired) > _PAIRED_REMEMBERED:
             self._paired.popitem(last=False)

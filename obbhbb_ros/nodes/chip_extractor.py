@@ -26,11 +26,14 @@ from obbhbb_ros.chips import format_text
 from obbhbb_ros.chips import pixel_format
 from obbhbb_ros.chips import view_of
 from obbhbb_ros.nodes.chip_settings import CHIP_TABLE
+from obbhbb_ros.nodes.chip_settings import IMAGES_KEPT
+from obbhbb_ros.nodes.chip_settings import PLANS_KEPT
 from obbhbb_ros.nodes.chip_settings import ChipSettings
 from obbhbb_ros.nodes.chip_settings import build_chip_settings
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.messages import read_regions
 from obbhbb_ros.pairing import Pairing
+from obbhbb_ros.pairing import Stamp
 from obbhbb_ros.pairing import Unpaired
 from obbhbb_ros.wire import Forms
 from obbhbb_ros.wire import WireImage
@@ -38,6 +41,13 @@ from obbhbb_ros.wire import read_image
 
 _IMAGE, _REGIONS = 0, 1
 _KINDS = ('images', 'crop_plans')
+_REMEDIES = {
+    Unpaired.EXPIRED: 'no image of its stamp came within cache.max_age',
+    Unpaired.CROWDED_OUT: 'more than cache.regions wait for their images',
+    Unpaired.DUPLICATE: 'another of the same stamp came before',
+    Unpaired.ZERO_STAMP: 'its stamp is zero',
+}
+_MISTAKES = (Unpaired.DUPLICATE, Unpaired.ZERO_STAMP)
 
 
 class ChipExtractor(ManagedNode[ChipSettings]):
@@ -66,7 +76,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             ('images_received', 'chips_sent', 'bytes_sent'), **kwargs,
         )
         self._forms = Forms()
-        self._pairing = Pairing(self._let_go)
+        self._pairing = Pairing(self._let_go, self._ran_back)
         self._budget = self._parameters_in_force.settings.budget
         # The link does not forget what was sent because the node was switched off and on.
         self._bucket = TokenBucket(self._budget, time.monotonic())
@@ -79,12 +89,17 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
         self._chips = self._output(CompressedImage, 'chip/compressed')
         self._places = self._output(CameraInfo, 'chip/camera_info')
-        # A large image travels in many pieces; one that is lost unnoticed would cost all of it.
-        self._images_in = self._input(
-            Image, 'image', self._on_image, raw=True, reliability=ReliabilityPolicy.RELIABLE
-        )
-        self._regions_in = self._input(
-            Detection2DArray, 'crop_regions', self._on_regions, raw=True
+        # A large image travels in many pieces; one that is lost unnoticed would cost all of it. Its
+        # pieces fill the middleware's buffers, which would cost the plan beside it.
+        self._images_in, self._regions_in = (
+            self._input(
+                kind, topic, callback, raw=True, reliability=ReliabilityPolicy.RELIABLE,
+                depth=depth,
+            )
+            for kind, topic, callback, depth in (
+                (Image, 'image', self._on_image, IMAGES_KEPT),
+                (Detection2DArray, 'crop_regions', self._on_regions, PLANS_KEPT),
+            )
         )
 
     def _forget(self) -> None:
@@ -152,6 +167,27 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._monitor.add(f'{_KINDS[kind]}_dropped.{reason.value}')
         if kind == _REGIONS:
             self._drop(f'crop_plan_{reason.value}', len(item))
+        # An image without a plan is no loss: a detector may look at every third one only.
+        if reason in _MISTAKES or (kind == _REGIONS and item and reason in _REMEDIES):
+            self._warn(
+                f'{_KINDS[kind]} {reason.value}',
+                f'dropped a message on {self._topic(kind)}: {_REMEDIES[reason]}',
+            )
+
+    def _ran_back(self, kind: int, latest: Stamp, stamp: Stamp) -> None:
+        """Count and tell that time has begun again."""
+        self._monitor.add('stamps_ran_back')
+        self._warn(
+            f'{_KINDS[kind]} ran back',
+            f'stamps on {self._topic(kind)} ran back from {_seconds(latest)} to {_seconds(stamp)}: '
+            'a bag that loops, a clock that was set back, or two publishers',
+        )
+
+    def _topic(self, kind: int) -> str:
+        """Name the topic of a kind."""
+        subscription = self._images_in if kind == _IMAGE else self._regions_in
+        name: str = subscription.topic_name
+        return name
 
     def _drop(self, reason: str, count: int) -> None:
         """Count chips that were planned and are not sent."""
@@ -169,11 +205,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             view = view_of(image)
         except ChipError as error:
             self._drop('image_refused', len(regions))
-            seconds, nanoseconds = image.stamp
             self._warn(
                 'image refused',
                 f'no chips of the image on {self._images_in.topic_name} at stamp '
-                f'{seconds}.{nanoseconds:09d}: {error}'
+                f'{_seconds(image.stamp)}: {error}'
             )
             return
         dropped: Counter[str] = Counter()
@@ -205,3 +240,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
                 data=array('B', chip.data),
             )
         )
+
+
+def _seconds(stamp: Stamp) -> str:
+    """Write a stamp as a number."""
+    seconds, nanoseconds = stamp
+    return f'{seconds}.{nanoseconds:09d}'

@@ -16,6 +16,11 @@ from obbhbb_ros.pairing import PairingLimits
 
 _MOST_BYTES = 1e12
 
+# What the middleware keeps through a stall, 1.6 s of images at 10 Hz, and then hands over at once,
+# images and plans in any order: the cache holds as much.
+IMAGES_KEPT = 16
+PLANS_KEPT = 100
+
 CHIP_TABLE: tuple[ParameterSpec, ...] = (
     AUTOSTART,
     ParameterSpec('codec', 'jpeg', 'File format of the chips.', choices=tuple(CODECS)),
@@ -53,12 +58,12 @@ CHIP_TABLE: tuple[ParameterSpec, ...] = (
         0, 100,
     ),
     ParameterSpec(
-        'cache.images', 4,
-        'At most so many images wait for their regions; the oldest goes first.', 1, 1000,
+        'cache.images', IMAGES_KEPT,
+        'Maximum images that wait for their regions; the oldest is dropped first.', 1, 1000,
     ),
     ParameterSpec(
-        'cache.regions', 100,
-        'At most so many crop plans wait for their image; the oldest goes first.', 1, 100_000,
+        'cache.regions', PLANS_KEPT,
+        'Maximum crop plans that wait for their image; the oldest is dropped first.', 1, 100_000,
     ),
     ParameterSpec(
         'cache.max_age', 2.0,

@@ -182,13 +182,14 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         callback: Any,
         raw: bool = False,
         reliability: ReliabilityPolicy = ReliabilityPolicy.BEST_EFFORT,
+        depth: int = _DEPTH,
     ) -> Any:
         """Create a subscription, by default one that any publisher's reliability fits."""
         subscription = self.create_subscription(
             message_type,
             topic,
             callback,
-            QoSProfile(depth=_DEPTH, reliability=reliability),
+            QoSProfile(depth=depth, reliability=reliability),
             raw=raw,
             event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_message_lost),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),

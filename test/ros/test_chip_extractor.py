@@ -406,6 +406,39 @@ def test_an_inactive_node_sends_nothing_and_what_waited_is_counted(
     node.wait(lambda: node.chips, 'a chip')
 
 
+@pytest.mark.parametrize('side', [1150, 1400])
+def test_no_frame_is_lost_to_a_stall(node: ChipNode, side: int) -> None:
+    node.set(codec='jpeg2000', lossless=True)
+    # A chip that takes 0.6 or 0.9 seconds to encode, amid frames that take none.
+    large = np.random.default_rng(1).integers(0, 256, (side, side, 3)).astype(np.uint8)
+    small = np.zeros((512, 512, 3), np.uint8)
+    started, sent = time.monotonic(), set()
+    for i in range(50):
+        node.peer.spin_until(lambda i=i: time.monotonic() >= started + 0.1 * i, 'the next frame')
+        pixels, size = (large, side) if i == 20 else (small, 8)
+        sent.add(node.send(pixels, 'rgb8', [(0, 0, size, size)]).stamp.sec)
+    node.wait(lambda: sent <= {chip.header.stamp.sec for chip in node.chips}, 'fifty chips')
+    assert node.counts()['latency_max_ms'] > 300.0
+
+
+def test_a_bag_that_loops_gives_its_chips_each_time_and_says_so(
+    start: Callable[..., ChipNode]
+) -> None:
+    node = start(codec='png')
+    node.connect()
+    headers = [node.stamp() for _ in range(30)]
+    pixels = np.zeros((8, 8), np.uint8)
+    for _ in range(3):
+        node.forget()
+        for header in headers:
+            node.send_image(image_message('mono8', pixels, header))
+            node.send_plan([(0, 0, 4, 4)], header)
+            time.sleep(0.03)
+        node.wait(lambda: len(node.chips) == 30, 'thirty chips')
+    assert node.counts()['stamps_ran_back'] == 4
+    assert 'ran back from ' in node.process.log
+
+
 def test_the_whole_chain_runs_from_a_folder(site: Site, tmp_path: Any) -> None:
     labels = harbour()
     write_labels(tmp_path / 'harbour.csv', [labels])

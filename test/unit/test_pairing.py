@@ -18,7 +18,10 @@ class Log:
 
     def __init__(self):
         self.let_go = []
-        self.pairing = Pairing(lambda *args: self.let_go.append(args))
+        self.ran_back = []
+        self.pairing = Pairing(
+            lambda *args: self.let_go.append(args), lambda *args: self.ran_back.append(args)
+        )
 
     def add(self, kind, stamp, item, now=0.0):
         return self.pairing.add(kind, (stamp, 0), item, now, LIMITS)
@@ -63,15 +66,45 @@ def test_the_oldest_goes_when_there_are_too_many() -> None:
     assert log.let_go == [(0, Unpaired.CROWDED_OUT, 1)]
 
 
-@pytest.mark.parametrize('paired', [False, True])
-def test_what_comes_twice_is_let_go(paired) -> None:
+def test_what_comes_again_while_it_waits_takes_its_own_place() -> None:
+    log = Log()
+    log.add(0, 1, 'first', now=0.0)
+    assert log.add(0, 1, 'second', now=0.9) is None
+    assert log.let_go == [(0, Unpaired.DUPLICATE, 'first')]
+    assert log.add(1, 1, 'regions', now=1.5) == ('second', 'regions')
+
+
+def test_what_comes_again_after_its_pair_is_let_go() -> None:
     log = Log()
     log.add(0, 1, 'first')
-    if paired:
-        log.add(1, 1, 'regions')
+    log.add(1, 1, 'regions')
     assert log.add(0, 1, 'second') is None
     assert log.let_go == [(0, Unpaired.DUPLICATE, 'second')]
-    assert paired or log.add(1, 1, 'regions') == ('first', 'regions')
+
+
+def test_a_pair_is_forgotten_by_age() -> None:
+    log = Log()
+    for now in (0.0, 1.1):
+        assert log.add(0, 1, 'image', now) is None
+        assert log.add(1, 1, 'regions', now) == ('image', 'regions')
+    assert log.let_go == log.ran_back == []
+
+
+@pytest.mark.parametrize('lag', [0, 1])
+@pytest.mark.parametrize('frames', [3, 7, 30])
+def test_stamps_that_begin_again_pair_again(frames, lag) -> None:
+    log = Log()
+    stamps = list(range(1, frames + 1)) * 3
+    pairs = []
+    for i in range(len(stamps) + lag):
+        if i < len(stamps):
+            pairs.append(log.add(0, stamps[i], stamps[i], 0.01 * i))
+        if i >= lag:
+            pairs.append(log.add(1, stamps[i - lag], stamps[i - lag], 0.01 * i))
+    assert [pair for pair in pairs if pair] == [(stamp, stamp) for stamp in stamps]
+    assert log.let_go == []
+    back = ((frames, 0), (1, 0))
+    assert Counter(log.ran_back) == {(0, *back): 2, (1, *back): 2}
 
 
 def test_a_stamp_of_zero_pairs_with_nothing() -> None:
