@@ -38,15 +38,15 @@ NODES = {
 }
 
 
-def message(count: int) -> bytes:
-    """Write a message of `count` detections as a detector would: classes and ids differ."""
+def message(count: int, side: int = 4096) -> bytes:
+    """Write `count` detections of an image as a detector would: classes and ids differ."""
     random = np.random.default_rng(count)
     array = Detection2DArray()
     array.header.frame_id = 'camera'
     for i in range(count):
         detection = Detection2D(header=array.header, id=str(i))
         box = detection.bbox
-        box.center.position.x, box.center.position.y = random.uniform(100, 4000, 2)
+        box.center.position.x, box.center.position.y = random.uniform(100, side - 96, 2)
         box.size_x, box.size_y = random.uniform(20, 200), random.uniform(5, 50)
         box.center.theta = random.uniform(-3, 3)
         result = ObjectHypothesisWithPose()
