@@ -371,10 +371,9 @@ def _all_extents(
         for rows in blocks(len(boxes)):
             extents[:, rows] = _block_extents(boxes, rules[0], caps, rows)
         return extents
-    for index, rule in enumerate(rules):
+    for index in np.unique(rule_of).tolist():
         mine = np.flatnonzero(rule_of == index)
-        if mine.size:
-            extents[:, mine] = _block_extents(boxes.take(mine), rule, caps, slice(None))
+        extents[:, mine] = _block_extents(boxes.take(mine), rules[index], caps, slice(None))
     return extents
 
 

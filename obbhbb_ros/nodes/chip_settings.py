@@ -10,6 +10,8 @@ from obbhbb_ros.budget import BudgetSettings
 from obbhbb_ros.chips import CODECS
 from obbhbb_ros.chips import CodecSettings
 from obbhbb_ros.nodes.managed import AUTOSTART
+from obbhbb_ros.nodes.parameters import INT_LIMIT
+from obbhbb_ros.nodes.parameters import LOCK
 from obbhbb_ros.nodes.parameters import ParameterSpec
 from obbhbb_ros.nodes.parameters import Values
 from obbhbb_ros.pairing import PairingLimits
@@ -23,6 +25,7 @@ PLANS_KEPT = 100
 
 CHIP_TABLE: tuple[ParameterSpec, ...] = (
     AUTOSTART,
+    LOCK,
     ParameterSpec('codec', 'jpeg', 'File format of the chips.', choices=tuple(CODECS)),
     ParameterSpec(
         'quality', 85,
@@ -50,7 +53,7 @@ CHIP_TABLE: tuple[ParameterSpec, ...] = (
     ),
     ParameterSpec(
         'budget.max_bytes', 0, 'At most so many bytes a frame; 0 for no bound.',
-        0, int(_MOST_BYTES),
+        0, INT_LIMIT,
     ),
     ParameterSpec(
         'budget.min_quality', 0,

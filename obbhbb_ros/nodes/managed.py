@@ -242,6 +242,6 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
     def _publish_diagnostics(self) -> None:
         """Tell how things are."""
         state = internals.state_label(self)
-        values: Mapping[str, Any] = self._parameters_in_force.values()
+        values: Mapping[str, Any] = self._parameters_in_force.notable_values()
         report = self._monitor.report(state, values, self._facts())
         self._diagnostics_publisher.publish(report)

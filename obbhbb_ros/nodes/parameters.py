@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import replace
 from typing import Generic
 from typing import TypeAlias
 from typing import TypeVar
@@ -112,6 +113,17 @@ class ParameterSpec:
             raise ValueError(f'{self.name} must be {self.range_text}, not {value}')
 
 
+LOCK = ParameterSpec(
+    'lock_parameters', False,
+    'Refuse every change of a parameter after the start. Anyone on the DDS domain can make one.',
+    read_only=True,
+)
+# Each declares five parameters, 0.1 ms each.
+MOST_CLASSES = 256
+# What Qt's tools take, rqt_reconfigure among them.
+INT_LIMIT = 2**31 - 1
+
+
 class LiveParameters(Generic[SettingsT]):
     """
     A node's parameters, and the settings that they amount to.
@@ -127,8 +139,8 @@ class LiveParameters(Generic[SettingsT]):
     overrides : mapping of str to Parameter
         What was given at start, by YAML or command line.
     per_class : sequence of ParameterSpec
-        Rows with `<id>` in their names, declared for each entry of the parameter `class_ids` and
-        for each class that `overrides` mentions.
+        Rows with `<id>` in their names, declared for each entry of the parameter `class_ids`, for
+        as long as it is one, and for each class that `overrides` mentions.
 
     Raises
     ------
@@ -149,11 +161,14 @@ class LiveParameters(Generic[SettingsT]):
         self._node = node
         self._build = build
         self._per_class = per_class
+        self._fixed = {spec.name: spec for spec in table}
+        self._given_classes = _mentioned_classes(overrides, per_class)
         self._specs: dict[str, ParameterSpec] = {}
-        self._declare(table)
-        self._declare_classes(_mentioned_classes(overrides, per_class))
-        self._declare_classes(self._class_ids(self.values()))
-        self.settings = build(self._checked(self.values()))
+        self._declare(self._fixed)
+        self._follow_classes()
+        values = self.values()
+        self.settings = build(self._checked(values))
+        self._locked = bool(values.get(LOCK.name, False))
         self.unknown = sorted(name for name in overrides if not node.has_parameter(name))
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
@@ -162,39 +177,57 @@ class LiveParameters(Generic[SettingsT]):
         """All values in force, by name."""
         return {name: self._node.get_parameter(name).value for name in self._specs}
 
-    def _declare(self, specs: Iterable[ParameterSpec]) -> None:
+    def notable_values(self) -> Values:
+        """Give the values worth telling: of parameters of a class only those that were set."""
+        return {
+            name: value for name, value in self.values().items()
+            if name in self._fixed or value != self._specs[name].default
+        }
+
+    def _declare(self, specs: Mapping[str, ParameterSpec]) -> None:
         """Declare parameters with what was given for them at start."""
-        for spec in specs:
-            if spec.name not in self._specs:
-                self._node.declare_parameter(spec.name, spec.default, spec.descriptor())
-                self._specs[spec.name] = spec
+        self._node.declare_parameters(
+            '', [(name, spec.default, spec.descriptor()) for name, spec in specs.items()]
+        )
+        self._specs.update(specs)
 
-    def _declare_classes(self, class_ids: Iterable[str]) -> None:
-        """Declare the rows of each class."""
-        self._declare(self._class_specs(class_ids))
+    def _follow_classes(self) -> None:
+        """Declare the rows of the classes that there are now, and forget those of others."""
+        class_ids = [*self._given_classes, *self._class_ids(self.values())]
+        wanted = {**self._fixed, **self._class_specs(class_ids)}
+        for name in [name for name in self._specs if name not in wanted]:
+            del self._specs[name]
+            self._node.undeclare_parameter(name)
+        self._declare({name: spec for name, spec in wanted.items() if name not in self._specs})
 
-    def _class_specs(self, class_ids: Iterable[str]) -> list[ParameterSpec]:
+    def _class_specs(self, class_ids: Iterable[str]) -> dict[str, ParameterSpec]:
         """Write a row for each class and each parameter of a class."""
-        return [
-            ParameterSpec(
-                spec.name.replace('<id>', class_id), spec.default, spec.meaning, spec.low,
-                spec.high, spec.choices, spec.read_only,
-            )
-            for class_id in class_ids
-            for spec in self._per_class
-        ]
+        specs = (
+            replace(spec, name=spec.name.replace('<id>', class_id))
+            for class_id in class_ids for spec in self._per_class
+        )
+        return {spec.name: spec for spec in specs}
 
     def _class_ids(self, values: Values) -> list[str]:
-        """Read the class list, if this node has one."""
+        """
+        Read the class list, if this node has one.
+
+        Raises
+        ------
+        ValueError
+            If it is too long.
+        """
         class_ids = values.get('class_ids', [])
-        return [c for c in class_ids if c] if isinstance(class_ids, list) else []
+        found = [c for c in class_ids if c] if isinstance(class_ids, list) else []
+        if len(found) > MOST_CLASSES:
+            raise ValueError(f'class_ids has {len(found)} classes, the maximum is {MOST_CLASSES}')
+        return found
 
     def _checked(self, values: Values) -> Values:
         """Check each value by itself, those of classes new in the list included."""
-        for spec in self._class_specs(self._class_ids(values)):
-            values.setdefault(spec.name, spec.default)
-        for name, spec in self._specs.items():
-            spec.check(values[name])
+        specs = {**self._specs, **self._class_specs(self._class_ids(values))}
+        for name, spec in specs.items():
+            spec.check(values.setdefault(name, spec.default))
         return values
 
     def _proposed(self, changes: Sequence[Parameter]) -> Values:
@@ -205,6 +238,14 @@ class LiveParameters(Generic[SettingsT]):
 
     def _validate(self, changes: Sequence[Parameter]) -> SetParametersResult:
         """Accept or reject a set of changes as a whole; change nothing yet."""
+        if not any(self._node.has_parameter(change.name) for change in changes):
+            # They are being declared, by us or by rclpy.
+            return SetParametersResult(successful=True)
+        if self._locked:
+            return SetParametersResult(
+                successful=False,
+                reason=f'parameters are locked: the node was started with {LOCK.name}',
+            )
         try:
             self._build(self._checked(self._proposed(changes)))
         except ValueError as error:
@@ -214,10 +255,11 @@ class LiveParameters(Generic[SettingsT]):
     def _apply(self, changes: Sequence[Parameter]) -> None:
         """Put an accepted set in force, all of it at once."""
         if not any(change.name in self._specs for change in changes):
-            # Not of our table, or of a class that is being declared below.
+            # Not of our table, or of a class that is being declared.
             return
         self.settings = self._build(self._checked(self._proposed(changes)))
-        self._declare_classes(self._class_ids(self.values()))
+        if any(change.name == 'class_ids' for change in changes):
+            self._follow_classes()
 
 
 def _mentioned_classes(

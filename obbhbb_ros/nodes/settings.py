@@ -20,6 +20,9 @@ from obbhbb_ros.converter import HullRule
 from obbhbb_ros.crops import CropSettings
 from obbhbb_ros.methods import ONBOARD_METHODS
 from obbhbb_ros.nodes.managed import AUTOSTART
+from obbhbb_ros.nodes.parameters import INT_LIMIT
+from obbhbb_ros.nodes.parameters import LOCK
+from obbhbb_ros.nodes.parameters import MOST_CLASSES
 from obbhbb_ros.nodes.parameters import ParameterSpec
 from obbhbb_ros.nodes.parameters import Values
 
@@ -32,6 +35,7 @@ IMAGE_SIZE_LIMIT = 1_000_000
 
 TABLE: tuple[ParameterSpec, ...] = (
     AUTOSTART,
+    LOCK,
     ParameterSpec(
         'input_type', DETECTIONS,
         'Message type of the input: the first on `detections`, the others on `polygons`.',
@@ -69,7 +73,8 @@ TABLE: tuple[ParameterSpec, ...] = (
     ),
     ParameterSpec(
         'class_ids', [''],
-        'Classes with parameters of their own, under classes.<id>; an empty string is no class.',
+        f'Classes with parameters of their own, under classes.<id>, up to {MOST_CLASSES}; an empty '
+        'string is no class.',
     ),
     ParameterSpec(
         'image_width', 0,
@@ -127,7 +132,7 @@ TABLE: tuple[ParameterSpec, ...] = (
         'crop.max_pixels', 0,
         'At most so many pixels in the crop regions of a message, filled by falling value; 0 for '
         'no bound.',
-        0, 10**12,
+        0, INT_LIMIT,
     ),
     ParameterSpec(
         'crop.compare_outer', False,

@@ -17,6 +17,7 @@ from harness import Converter
 from harness import Site
 from harness import parameters_of
 from harness import stamp_of
+from harness import values_of
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import SetParametersAtomically
 from ships import FloatArray
@@ -29,6 +30,9 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.converter import Caps
 from obbhbb_ros.converter import HullRule
+from obbhbb_ros.nodes.chip_settings import CHIP_TABLE
+from obbhbb_ros.nodes.parameters import MOST_CLASSES
+from obbhbb_ros.nodes.play_detections import TABLE as PLAYER_TABLE
 from obbhbb_ros.nodes.settings import CLASS_TABLE
 from obbhbb_ros.nodes.settings import TABLE
 
@@ -39,7 +43,7 @@ CONTRACT = {
     'ground_sample_distance', 'class_ids', 'image_width', 'image_height', 'angle_unit',
     'invalid_policy', 'crop.padding', 'crop.padding_px', 'crop.min_size', 'crop.max_size',
     'crop.multiple_of', 'crop.merge_max_size', 'crop.max_count', 'crop.max_pixels',
-    'crop.compare_outer',
+    'crop.compare_outer', 'lock_parameters',
 }
 
 SHIPS = fleet(8)
@@ -380,3 +384,73 @@ def test_class_rules_are_described_and_checked_like_the_others(node: Converter) 
         result = node.set_atomically({f'classes.tug.{name}': value})
         assert not result.successful
         assert f'classes.tug.{name}' in result.reason
+
+
+@pytest.mark.parametrize('count', [200, MOST_CLASSES])
+def test_many_classes_come_and_go_without_a_trace(start: Callable[..., Converter], count) -> None:
+    node = start()
+    node.connect()
+    before = len(node.next_report().values)
+    names = [f'class {i}.ü' for i in range(count)]
+    started = time.monotonic()
+    node.set({'class_ids': names})
+    assert time.monotonic() - started < 2.0
+    node.set({f'classes.{names[-1]}.method': 'midpoint'})
+    np.testing.assert_array_equal(
+        convert_classes(node, [names[0], names[-1]]), under(HullRule(), HullRule('midpoint'))
+    )
+    assert f'parameter.classes.{names[-1]}.method' in values_of(node.next_report())
+    node.set({'class_ids': ['']})
+    result = node.set_one_by_one({f'classes.{names[0]}.q': 2.0})[0]
+    assert not result.successful
+    np.testing.assert_array_equal(convert_classes(node, [names[-1]]), under(HullRule()))
+    # The counters and latencies of the messages are new, the parameters are not.
+    parameters = [key for key in values_of(node.next_report()) if key.startswith('parameter.')]
+    assert len(parameters) == len(TABLE)
+    assert before <= len(node.next_report().values) <= before + 10
+
+
+def test_too_many_classes_are_refused(node: Converter) -> None:
+    result = node.set_atomically({'class_ids': [str(i) for i in range(MOST_CLASSES + 1)]})
+    assert not result.successful
+    assert result.reason == 'class_ids has 257 classes, the maximum is 256'
+
+
+def test_a_class_of_the_parameter_file_keeps_its_values_when_it_comes_back(
+    fleet_node: Converter
+) -> None:
+    fleet_node.set({'class_ids': ['tug']})
+    fleet_node.set({'class_ids': ['tug', 'ferry']})
+    assert fleet_node.get('classes.ferry.q', 'classes.ferry.f') == [1.5, 0.8]
+
+
+# Locked parameters ----------------------------------------------------------------------------
+
+
+def test_locked_parameters_cannot_be_changed_by_anyone(start: Callable[..., Converter]) -> None:
+    node = start(parameters={'lock_parameters': True, 'q': 2.5, 'class_ids': ['tug']})
+    node.connect()
+    for values in ({'q': 3.0}, {'class_ids': ['']}, {'use_sim_time': True}, {'classes.tug.q': 2.0}):
+        for result in (node.set_atomically(values), *node.set_one_by_one(values)):
+            assert not result.successful
+            assert result.reason == (
+                'parameters are locked: the node was started with lock_parameters'
+            )
+    assert node.get('q', 'lock_parameters') == [2.5, True]
+    np.testing.assert_array_equal(
+        rows_of(node.convert(detections(fleet(3)))), axis_aligned(fleet(3), HullRule(q=2.5))
+    )
+
+
+def test_the_lock_itself_is_only_for_the_start(node: Converter) -> None:
+    assert not node.set_atomically({'lock_parameters': True}).successful
+
+
+@pytest.mark.parametrize('table', [TABLE, CLASS_TABLE, CHIP_TABLE, PLAYER_TABLE])
+def test_every_integer_fits_the_32_bits_of_tools_made_with_qt(table) -> None:
+    limits = [
+        (spec.low, spec.high) for spec in table
+        if type(spec.default) is int and spec.low is not None
+    ]
+    assert all(-(2**31) <= low <= high < 2**31 for low, high in limits)
+    assert all(spec.low is not None for spec in table if type(spec.default) is int)
