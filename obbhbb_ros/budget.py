@@ -151,6 +151,7 @@ def chips_within_budget(
     bucket: TokenBucket,
     clock: Callable[[], float],
     dropped: Counter[str],
+    on_failure: Callable[[Region, Exception], None],
 ) -> Iterator[Chip]:
     """
     Make the chips of one frame that may be sent; each must be sent before the next is asked for.
@@ -175,6 +176,8 @@ def chips_within_budget(
         Gives the time in seconds.
     dropped : Counter
         Is added to, by `Dropped`: every region is either given or counted.
+    on_failure : callable
+        Called with region and error where the encoder fails.
 
     Yields
     ------
@@ -196,9 +199,10 @@ def chips_within_budget(
         room = min(bytes_left, bucket.available(clock())) - budget.overhead
         try:
             data = _encode_into(pixels, room, codec, budget.min_quality)
-        except (ValueError, OSError):
+        except (ValueError, OSError, MemoryError) as error:
             # Each format has sizes that it cannot hold.
             dropped[Dropped.ENCODER.value] += 1
+            on_failure(region, error)
             continue
         cost = len(data) + budget.overhead
         if cost > bucket.burst:

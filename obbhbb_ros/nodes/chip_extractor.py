@@ -18,6 +18,7 @@ from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.budget import Chip
+from obbhbb_ros.budget import Dropped
 from obbhbb_ros.budget import TokenBucket
 from obbhbb_ros.budget import chips_within_budget
 from obbhbb_ros.chips import ChipError
@@ -46,6 +47,10 @@ _REMEDIES = {
     Unpaired.CROWDED_OUT: 'more than cache.regions wait for their images',
     Unpaired.DUPLICATE: 'another of the same stamp came before',
     Unpaired.ZERO_STAMP: 'its stamp is zero',
+}
+_LOST_FOR_GOOD = {
+    Dropped.OUTSIDE.value: 'they lie outside the image; is it the one that the plan is for?',
+    Dropped.LARGER_THAN_BURST.value: 'each is larger than budget.burst, so no pause is enough',
 }
 _MISTAKES = (Unpaired.DUPLICATE, Unpaired.ZERO_STAMP)
 
@@ -211,10 +216,18 @@ class ChipExtractor(ManagedNode[ChipSettings]):
                 f'{_seconds(image.stamp)}: {error}'
             )
             return
+        def warn_of_failure(region: Region, error: Exception) -> None:
+            x0, y0, x1, y1 = region
+            self._warn(
+                'encoder failure',
+                f'{settings.codec.codec} cannot hold the chip of {x1 - x0} x {y1 - y0} pixels at '
+                f'({x0}, {y0}), stamp {_seconds(image.stamp)}: {error}; see crop.max_size',
+            )
+
         dropped: Counter[str] = Counter()
         chips = chips_within_budget(
             view, layout, regions, settings.codec, settings.budget, self._bucket,
-            time.monotonic, dropped,
+            time.monotonic, dropped, warn_of_failure,
         )
         for chip in chips:
             self._publish(chip, image, settings.codec.codec)
@@ -222,6 +235,12 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._monitor.add('bytes_sent', len(chip.data) + settings.budget.overhead)
         for reason, count in dropped.items():
             self._drop(reason, count)
+            if reason in _LOST_FOR_GOOD:
+                self._warn(
+                    reason,
+                    f'dropped {count} of {len(regions)} chips at stamp {_seconds(image.stamp)}: '
+                    f'{_LOST_FOR_GOOD[reason]}',
+                )
 
     def _publish(self, chip: Chip, image: WireImage, codec: str) -> None:
         """Publish a chip and its place."""

@@ -191,7 +191,9 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
             callback,
             QoSProfile(depth=depth, reliability=reliability),
             raw=raw,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_message_lost),
+            event_callbacks=SubscriptionEventCallbacks(
+                message_lost=lambda status: self._on_message_lost(subscription, status)
+            ),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         self._inputs.append(subscription)
@@ -211,9 +213,17 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         self._diagnostics_publisher = self._timer = None
         self._forget()
 
-    def _on_message_lost(self, status: Any) -> None:
-        """Count what the middleware could not deliver."""
+    def _on_message_lost(self, subscription: Any, status: Any) -> None:
+        """Count what the middleware could not deliver, and tell what to do about it."""
         self._monitor.add('messages_lost', status.total_count_change)
+        topic = subscription.topic_name
+        self._warn(
+            f'messages lost on {topic}',
+            f'the middleware lost {status.total_count_change} messages on {topic}, '
+            f'{status.total_count} in all: messages over 0.5 MB need the DDS profile '
+            'config/fastdds_large.xml at both ends, or '
+            f'qos_overrides.{topic}.subscription.reliability: reliable',
+        )
 
     def _drop_unreadable(self, data: bytes, topic: str, kind: str, error: Exception) -> None:
         """Count a message that cannot be read as what it should be."""

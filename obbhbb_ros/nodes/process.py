@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import os
+import stat
 import sys
 from collections.abc import Callable
 from collections.abc import Sequence
@@ -51,6 +53,7 @@ def run(make_node: Callable[[], Node], stop: Stop, args: Sequence[str] | None = 
         start.
     """
     stop.patience = STARTING
+    never_wait_to_log()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
@@ -74,6 +77,26 @@ def run(make_node: Callable[[], Node], stop: Stop, args: Sequence[str] | None = 
         node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def never_wait_to_log() -> None:
+    """
+    Have standard output and error lose what they cannot take, instead of waiting for a reader.
+
+    A pipe that nobody reads any more fills up, and the next line would stop the node for good. The
+    lines are on /rosout and in the log file all the same.
+    """
+    for number in (1, 2):
+        try:
+            # Opened anew: the flag belongs to an open file, and this one is others' too.
+            ours = os.open(f'/proc/self/fd/{number}', os.O_WRONLY | os.O_APPEND | os.O_NONBLOCK)
+        except OSError:
+            # A socket, journald's for one, cannot be opened anew.
+            if stat.S_ISSOCK(os.fstat(number).st_mode):
+                os.set_blocking(number, False)
+        else:
+            os.dup2(ours, number)
+            os.close(ours)
 
 
 def executor_for(node: Node) -> Executor:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Converter
 from harness import Counts
 from harness import NodeProcess
@@ -134,6 +135,13 @@ class ChipNode:
 
         self.wait(came, 'diagnostics')
         return found[-1]
+
+    def warned(self, text: str) -> bool:
+        """Tell whether diagnostics have said something at level WARN."""
+        return any(
+            text in status.message and status.level == DiagnosticStatus.WARN
+            for array in self._diagnostics for status in array.status
+        )
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         client = self.peer.node.create_client(kind, f'chip_extractor/{service}')
@@ -320,6 +328,28 @@ def test_an_image_that_cannot_be_cut_is_refused_with_a_reason_and_the_node_lives
     node.wait(lambda: node.chips, 'a chip')
     assert node.chips[0].format == 'mono8; jpeg compressed '
     assert node.counts().since(before)['chips_dropped.image_refused'] == 2
+
+
+@pytest.mark.parametrize(('codec', 'side'), [('webp', 16_384), ('jpeg', 65_501)])
+def test_a_chip_that_its_format_cannot_hold_is_counted_and_said(
+    start: Callable[..., ChipNode], codec: str, side: int
+) -> None:
+    node = start(codec=codec)
+    node.connect()
+    node.send(np.zeros((1, side), np.uint8), 'mono8', [(0, 0, side, 1), (0, 0, 8, 1)])
+    node.wait(lambda: node.chips, 'the other chip')
+    assert node.counts()['chips_dropped.encoder_failed'] == 1
+    text = f'{codec} cannot hold the chip of {side} x 1 pixels at (0, 0)'
+    node.wait(lambda: text in node.process.log, 'the warning')
+    node.wait(lambda: node.warned(text), 'the level')
+
+
+def test_a_plan_for_another_image_is_said(start: Callable[..., ChipNode]) -> None:
+    node = start(codec='png')
+    node.connect()
+    node.send(np.zeros((8, 8), np.uint8), 'mono8', [(100, 100, 108, 108), (0, 0, 4, 4)])
+    node.wait(lambda: 'dropped 1 of 2 chips' in node.process.log, 'the warning')
+    node.wait(lambda: node.warned('outside the image'), 'the level')
 
 
 def test_what_is_no_message_is_counted(node: ChipNode) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -12,8 +13,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Converter
 from harness import Counts
 from harness import values_of
+from rclpy.qos import QoSProfile
+from rclpy.qos import ReliabilityPolicy
 from ships import detections
 from ships import fleet
+from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.nodes.settings import TABLE
 
@@ -94,3 +98,21 @@ def test_trouble_is_a_warning_in_the_next_report_and_no_longer(node: Converter) 
     assert f'{node.namespace}/detections' in report.message
     assert values_of(report)['state'] == 'active'
     assert node.next_report().level == DiagnosticStatus.OK
+
+
+def test_large_messages_that_get_lost_are_counted_and_said(start: Callable[..., Converter]) -> None:
+    node = start()
+    node.connect()
+    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    publisher = node.peer.node.create_publisher(Detection2DArray, 'detections', best_effort)
+    node.wait(publisher.get_subscription_count, 'the node')
+    large = detections(fleet(2000))
+    for number in range(5):
+        large.header.stamp.sec = number
+        publisher.publish(large)
+        node.peer.spin(0.1)
+    node.convert(detections(fleet(1)))
+    line = node.wait_for_log('the middleware lost', f'{node.namespace}/detections')
+    assert 'config/fastdds_large.xml' in line
+    assert f'qos_overrides.{node.namespace}/detections.subscription.reliability: reliable' in line
+    assert node.counts()['messages_lost'] > 0

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -17,9 +19,11 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Converter
 from harness import NodeProcess
 from harness import Site
+from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
@@ -388,3 +392,48 @@ def test_a_publisher_whose_profile_does_not_fit_is_logged(start: Start) -> None:
     assert 'RELIABILITY' in line
     # One that fits is heard all the same.
     node.connect()
+
+
+# A log that nobody reads -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('kind', ['pipe', 'socket'])
+def test_a_log_that_nobody_reads_stops_nothing(
+    start: Callable[..., Converter], monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    ends = os.pipe() if kind == 'pipe' else [each.detach() for each in socket.socketpair()][::-1]
+    unread, full = ends
+    os.set_blocking(full, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(full, b'.' * 512)
+    os.set_blocking(full, True)
+    popen = subprocess.Popen
+
+    def with_full_log(*args: Any, **kwargs: Any) -> Any:
+        return popen(*args, **{**kwargs, 'stdout': full, 'stderr': full})
+
+    monkeypatch.setattr(subprocess, 'Popen', with_full_log)
+    node = start()
+    node.connect()
+    log = node.peer.collect(Log, '/rosout')
+    for _ in range(3):
+        node.publisher.publish(b'\x00\x01\x00\x00 no message at all')
+        node.convert(detections(fleet(3)))
+    assert node.next_report().level == DiagnosticStatus.WARN
+    node.wait(lambda: any('cannot be read' in each.msg for each in log), 'the warning on /rosout')
+    node.process.send_signal(signal.SIGTERM)
+    assert node.process.wait(SOON) == 0
+    os.close(full)
+    os.close(unread)
+
+
+def test_a_log_file_is_added_to(site: Site, tmp_path: Path) -> None:
+    log = tmp_path / 'log'
+    process = NodeProcess('obb_to_hbb', log, parameters={'method': 'none'})
+    process.wait()
+    before = log.stat().st_size
+    with log.open('ab') as stream:
+        command = [sys.executable, '-m', 'obbhbb_ros.nodes', 'obb_to_hbb', '--ros-args', '-p', 'q']
+        subprocess.run(command, stdout=stream, stderr=stream, check=False)
+    assert log.stat().st_size > before > 0

@@ -74,13 +74,19 @@ def test_more_than_there_is_cannot_be_spent() -> None:
         bucket.spend(101, 0.0)
 
 
+def no_failure(region, error):
+    raise AssertionError(f'{region}: {error}')
+
+
 def send(sides, budget, codec=PNG, bucket=None, view=NOISE, now=0.0):
     """Ask for square chips; give the sides of those made, what was dropped, and the bucket."""
     regions = [(0, 0, side, side) for side in sides]
     bucket = bucket or TokenBucket(budget, now)
     dropped = Counter()
     chips = list(
-        chips_within_budget(view, GREY, regions, codec, budget, bucket, lambda: now, dropped)
+        chips_within_budget(
+            view, GREY, regions, codec, budget, bucket, lambda: now, dropped, no_failure
+        )
     )
     assert len(chips) + sum(dropped.values()) == len(sides)
     return [chip.region[2] for chip in chips], dropped, chips
@@ -156,22 +162,27 @@ def test_a_region_outside_the_image_is_counted() -> None:
     regions = [(500, 0, 510, 10), (0, 0, 4, 4), (9, 9, 9, 9)]
     budget = BudgetSettings()
     chips = list(chips_within_budget(
-        NOISE, GREY, regions, PNG, budget, TokenBucket(budget, 0.0), lambda: 0.0, dropped
+        NOISE, GREY, regions, PNG, budget, TokenBucket(budget, 0.0), lambda: 0.0, dropped,
+        no_failure,
     ))
     assert [chip.region for chip in chips] == [(0, 0, 4, 4)]
     assert dropped == {Dropped.OUTSIDE.value: 2}
 
 
-def test_a_chip_that_the_format_cannot_hold_is_counted() -> None:
+def test_a_chip_that_the_format_cannot_hold_is_counted_and_told() -> None:
+    failures = []
     wide = np.zeros((1, 20_000, 1), np.uint8)
     dropped = Counter()
     budget = BudgetSettings()
     chips = chips_within_budget(
         wide, GREY, [(0, 0, 20_000, 1), (0, 0, 4, 1)], CodecSettings('webp'), budget,
-        TokenBucket(budget, 0.0), lambda: 0.0, dropped,
+        TokenBucket(budget, 0.0), lambda: 0.0, dropped, lambda *args: failures.append(args),
     )
     assert [chip.region for chip in chips] == [(0, 0, 4, 1)]
     assert dropped == {Dropped.ENCODER.value: 1}
+    ((region, error),) = failures
+    assert region == (0, 0, 20_000, 1)
+    assert isinstance(error, (ValueError, OSError))
 
 
 @given(
