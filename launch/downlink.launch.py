@@ -2,6 +2,8 @@
 
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument
+from launch.actions import SetEnvironmentVariable
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -25,7 +27,15 @@ def generate_launch_description() -> LaunchDescription:
             'namespace', default_value='', description='namespace of the nodes and their topics',
         ),
         DeclareLaunchArgument('image', default_value='image', description='topic of the images'),
+        DeclareLaunchArgument(
+            'large_messages', default_value='false',
+            description='use the DDS profile for messages over 0.5 MB',
+        ),
     ]
+    profile = SetEnvironmentVariable(
+        'FASTRTPS_DEFAULT_PROFILES_FILE', f'{share}/config/fastdds_large.xml',
+        condition=IfCondition(LaunchConfiguration('large_messages')),
+    )
     nodes = [
         Node(
             package='obbhbb_ros',
@@ -38,4 +48,4 @@ def generate_launch_description() -> LaunchDescription:
         )
         for name in NODES
     ]
-    return LaunchDescription([*arguments, *nodes])
+    return LaunchDescription([*arguments, profile, *nodes])

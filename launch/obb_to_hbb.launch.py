@@ -2,6 +2,8 @@
 
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument
+from launch.actions import SetEnvironmentVariable
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -32,6 +34,16 @@ def generate_launch_description() -> LaunchDescription:
         )
         for topic in TOPICS
     ]
+    arguments.append(
+        DeclareLaunchArgument(
+            'large_messages', default_value='false',
+            description='use the DDS profile for messages over 0.5 MB',
+        )
+    )
+    profile = SetEnvironmentVariable(
+        'FASTRTPS_DEFAULT_PROFILES_FILE', f'{share}/config/fastdds_large.xml',
+        condition=IfCondition(LaunchConfiguration('large_messages')),
+    )
     node = Node(
         package='obbhbb_ros',
         executable='obb_to_hbb',
@@ -42,4 +54,4 @@ def generate_launch_description() -> LaunchDescription:
         ros_arguments=['--log-level', LaunchConfiguration('log_level')],
         output='screen',
     )
-    return LaunchDescription([*arguments, node])
+    return LaunchDescription([*arguments, profile, node])

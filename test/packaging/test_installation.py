@@ -16,6 +16,8 @@ SHARE = [
     'obbhbb_ros/config/obb_to_hbb.yaml',
     'obbhbb_ros/config/chip_extractor.yaml',
     'obbhbb_ros/config/paper.yaml',
+    'obbhbb_ros/config/fastdds_large.xml',
+    'obbhbb_ros/config/security/policy.xml',
     'obbhbb_ros/launch/downlink.launch.py',
     'obbhbb_ros/launch/obb_to_hbb.launch.py',
 ]

@@ -1,0 +1,59 @@
+"""The SROS2 policy allows what the running nodes do, and nothing more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from harness import NodeProcess
+from harness import Peer
+from harness import Site
+
+POLICY = ElementTree.parse(Path(__file__).parents[2] / 'config' / 'security' / 'policy.xml')
+NODES = ('obb_to_hbb', 'chip_extractor')
+
+
+def allowed(node: str, kind: str, action: str) -> set[str]:
+    """Read the absolute names that the policy lists for a node."""
+    (profile,) = POLICY.iterfind(f".//profile[@node='{node}']")
+    names = [each.text or '' for each in profile.iterfind(f'{kind}s[@{action}="ALLOW"]/{kind}')]
+    assert len(names) == len(set(names))
+    return {absolute(name, node) for name in names}
+
+
+def absolute(name: str, node: str) -> str:
+    return f'/{node}/{name[2:]}' if name.startswith('~/') else f'/{name.lstrip("/")}'
+
+
+@pytest.mark.parametrize('node', NODES)
+def test_the_policy_has_the_names_of_the_running_node(site: Site, node: str) -> None:
+    process = NodeProcess(node, site.folder / f'security_{node}.log')
+    peer = Peer(site.context, '/watching')
+    graph = peer.node
+    lists: dict[tuple[str, str], Callable[..., Any]] = {
+        ('topic', 'publish'): graph.get_publisher_names_and_types_by_node,
+        ('topic', 'subscribe'): graph.get_subscriber_names_and_types_by_node,
+        ('service', 'reply'): graph.get_service_names_and_types_by_node,
+        ('service', 'request'): graph.get_client_names_and_types_by_node,
+    }
+    try:
+        peer.spin_until(lambda: (node, '/') in graph.get_node_names_and_namespaces(), node)
+        for (kind, action), names in lists.items():
+            expected = allowed(node, kind, action)
+            peer.spin_until(
+                lambda names=names, expected=expected: {n for n, _ in names(node, '/')} == expected,
+                f'{expected} in the graph, not {names(node, "/")}',
+            )
+    finally:
+        process.close()
+        peer.close()
+
+
+def test_the_operator_may_ask_for_every_service_and_nobody_else_for_any() -> None:
+    replies = set().union(*(allowed(node, 'service', 'reply') for node in NODES))
+    assert allowed('operator', 'service', 'request') == replies
+    requests = POLICY.findall('.//services[@request="ALLOW"]')
+    assert len(requests) == 1
