@@ -444,15 +444,20 @@ def _whole(half: FloatArray) -> FloatArray:
         return 2.0 * np.hypot(half[0], half[1])
 
 
+def range_defect(points: FloatArray) -> Defect:
+    """Tell whether there is a coordinate, (K, 2), that GEOS must not see."""
+    # NaN passes through the maximum, and compares as false.
+    if np.abs(points).max(initial=0.0) <= FARTHEST:
+        return Defect.NONE
+    return Defect.NO_RECTANGLE if np.isfinite(points).all() else Defect.NOT_FINITE
+
+
 def _ring_defect(ring: FloatArray) -> Defect:
     """Tell why no rectangle can be laid around a polygon's vertices."""
-    if not np.isfinite(ring).all():
-        return Defect.NOT_FINITE
-    if len({(x, y) for x, y in ring.tolist()}) < 3:
+    defect = range_defect(ring)
+    if defect != Defect.NOT_FINITE and len(set(map(tuple, ring.tolist()))) < 3:
         return Defect.TOO_FEW_POINTS
-    if np.abs(ring).max() > FARTHEST:
-        return Defect.NO_RECTANGLE
-    return Defect.NONE
+    return defect
 
 
 def _minimum_rotated_rectangles(rings: Sequence[FloatArray]) -> FloatArray:
@@ -465,9 +470,9 @@ def _minimum_rotated_rectangles(rings: Sequence[FloatArray]) -> FloatArray:
         Corners; all zero where the rectangle has no area, NaN where shapely fails.
     """
     owner = np.repeat(np.arange(len(rings)), [len(ring) for ring in rings])
-    points = shapely.points(np.concatenate(rings))
-    # The rectangle depends on the convex hull alone, so a crossed or open ring does no harm.
-    envelopes = _oriented_envelopes(shapely.multipoints(points, indices=owner))
+    # The rectangle depends on the convex hull alone, so a crossed or open ring does no harm, and a
+    # line is made in a third of the time that points take.
+    envelopes = _oriented_envelopes(shapely.linestrings(np.concatenate(rings), indices=owner))
     corners = np.zeros((len(rings), 4, 2))
     corners[shapely.is_missing(envelopes)] = np.nan
     has_area = shapely.get_type_id(envelopes) == shapely.GeometryType.POLYGON

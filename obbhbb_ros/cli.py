@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import os
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +13,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from obbhbb_ros.labels import LabelError
     from obbhbb_ros.study.ships import Ships
+
+
+# What a shell adds to the number of the signal that ended a command.
+_BY_SIGNAL = 128
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,6 +37,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(given, argparse.Namespace(given=given))
     try:
         code: int = options.run(options)
+        # Here rather than when Python ends, where nothing can be said any more.
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        return _BY_SIGNAL + signal.SIGINT
+    except BrokenPipeError:
+        # Whoever read the output, `head` for one, has seen enough.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _BY_SIGNAL + signal.SIGPIPE
     except ImportError as error:
         print(f'obbhbb: {error}; see the extras in the README', file=sys.stderr)
         return 1
@@ -72,7 +86,6 @@ def _demo(options: argparse.Namespace) -> int:
     boxes = boxes_by_method(labels)
     print(f'{len(labels.class_ids)} ships of a synthetic harbour, converted by the node over DDS\n')
     print(scene_table(labels, boxes))
-    options.picture.parent.mkdir(parents=True, exist_ok=True)
     draw_scene(labels, boxes, options.picture)
     print(f'\npicture: {options.picture}')
     return 0
@@ -120,7 +133,6 @@ def _chips(options: argparse.Namespace) -> int:
     print(f'chips of {what}; in brackets the difference to outer\n')
     print(cost_table(costs))
     if options.picture:
-        options.picture.parent.mkdir(parents=True, exist_ok=True)
         draw_costs(costs, *images[0], options.picture, what)
         print(f'\npicture: {options.picture}')
     return 0
@@ -234,10 +246,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     scores = evaluation.evaluate(ships, rules, protocols, settings)
     print(evaluation.score_tables(scores, settings))
     if options.json:
-        _make_folder_of(options.json)
         evaluation.write_json(options.json, scores, settings)
     if options.csv:
-        _make_folder_of(options.csv)
         evaluation.write_csv(options.csv, scores)
     if options.plot:
         from obbhbb_ros.study import charts
@@ -296,6 +306,7 @@ def _calibrate(options: argparse.Namespace) -> int:
 
     import numpy as np
 
+    from obbhbb_ros.files import write_text
     from obbhbb_ros.study import calibration
     from obbhbb_ros.study import outcome
 
@@ -313,13 +324,10 @@ def _calibrate(options: argparse.Namespace) -> int:
     text = outcome.outcome_text(found)
     print(text)
     if options.output:
-        _make_folder_of(options.output)
         notes = [f'Written by: obbhbb {shlex.join(options.given)}', *text.splitlines()]
         # No detector calls its ships by the names of synthetic families.
         own = {} if options.synthetic else found.rule_of_class
-        options.output.write_text(
-            outcome.yaml_text(found.rule, own, notes), encoding='utf-8'
-        )
+        write_text(options.output, outcome.yaml_text(found.rule, own, notes))
         print(f'\nwritten: {options.output}')
     return 0
 
@@ -355,13 +363,13 @@ def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _report(options: argparse.Namespace) -> int:
     """Write the page."""
+    from obbhbb_ros.files import write_text
     from obbhbb_ros.study.report import report_page
 
     ships = _read_ships(options)
     title = ', '.join(path.name for path in options.labels)
     page = report_page(ships, title, gallery=options.gallery, seed=options.seed)
-    _make_folder_of(options.output)
-    options.output.write_text(page, encoding='utf-8')
+    write_text(options.output, page)
     print(f'written: {options.output}')
     return 0
 
@@ -407,11 +415,6 @@ def _read_ships(options: argparse.Namespace) -> Ships:
             f'out, {len(ships)} ships read'
         )
     return ships
-
-
-def _make_folder_of(path: Path) -> None:
-    """Make the folder that a file goes to."""
-    path.parent.mkdir(parents=True, exist_ok=True)
 
 
 if __name__ == '__main__':

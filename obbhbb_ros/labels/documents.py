@@ -184,7 +184,7 @@ def image_size_of(width: object, height: object) -> tuple[int, int] | None:
     return (sides[0], sides[1]) if min(sides) > 0 else None
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Path, shorten: Callable[[dict[str, Any]], Any] | None = None) -> Any:
     """
     Parse a JSON file.
 
@@ -192,6 +192,8 @@ def read_json(path: Path) -> Any:
     ----------
     path : Path
         The file, UTF-8 with or without BOM.
+    shorten : callable, optional
+        Called with each JSON object as soon as it is complete; what it returns takes its place.
 
     Returns
     -------
@@ -207,7 +209,7 @@ def read_json(path: Path) -> Any:
     """
     data = path.read_bytes()
     try:
-        return json.loads(data.decode('utf-8-sig'))
+        return json.loads(data.decode('utf-8-sig'), object_hook=shorten)
     except json.JSONDecodeError as error:
         raise LabelError(path, error.lineno, f'not JSON: {error.msg}') from None
     except RecursionError:
@@ -286,6 +288,8 @@ def _finite(value: object, what: str) -> float:
 
 def plain_text(value: object) -> str:
     """Turn a JSON or table value into the text of an id or a class; '' for none."""
+    if isinstance(value, str):
+        return value
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ''
     if isinstance(value, float) and value.is_integer():

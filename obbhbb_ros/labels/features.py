@@ -71,8 +71,10 @@ def feature_record(
 
 
 def _first(properties: Mapping[str, Any], names: Sequence[str]) -> str:
-    texts = (plain_text(properties.get(name)) for name in names)
-    return next((text for text in texts if text), '')
+    for name in names:
+        if name in properties and (text := plain_text(properties[name])):
+            return text
+    return ''
 
 
 def outer_rings(geometry: Any) -> list[FloatArray]:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import shapely
 
+from obbhbb_ros.files import replacing_all
 from obbhbb_ros.labels.converted import DIAGNOSTICS
 from obbhbb_ros.labels.converted import ConvertedImage
 from obbhbb_ros.labels.features import converted_features
@@ -109,6 +110,8 @@ def write_boxes(path: Path, images: list[ConvertedImage]) -> None:
     ------
     ValueError
         If the path has another suffix, or a text is longer than the 254 bytes of a field.
+    OSError
+        If it cannot be written.
     ImportError
         If GeoPandas is not installed.
     """
@@ -121,11 +124,20 @@ def write_boxes(path: Path, images: list[ConvertedImage]) -> None:
     frame = geopandas.GeoDataFrame(_columns(properties), geometry=shapely.box(*boxes.T))
     # A file without features has to be told what it is without features of; one engine can.
     options = {'engine': 'pyogrio', 'geometry_type': 'Polygon'} if frame.empty else {}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with warnings.catch_warnings():
+    with replacing_all(path) as whole, warnings.catch_warnings():
         # It says that there is no reference system; there is none to write.
         warnings.filterwarnings('ignore', message=".*'crs' was not provided", category=UserWarning)
-        frame.to_file(path, driver=DRIVER, encoding='UTF-8', **options)
+        try:
+            frame.to_file(whole, driver=DRIVER, encoding='UTF-8', **options)
+            # A full disk may show only in what is missing.
+            written = len(geopandas.read_file(whole))
+        except ImportError:
+            raise
+        except Exception as error:
+            # As wide as that because the two engines of GeoPandas raise what they like.
+            raise OSError(f'{path}: cannot be written: {error}') from error
+        if written != len(frame):
+            raise OSError(f'{path}: cannot be written: {written} of {len(frame)} boxes are there')
 
 
 def _check_texts(properties: list[dict[str, Any]]) -> None:

@@ -13,6 +13,7 @@ import shapely
 from obbhbb_ros.boxes import FARTHEST
 from obbhbb_ros.boxes import Defect
 from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.boxes import range_defect
 from obbhbb_ros.labels.records import NO_REFERENCE
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import FloatArray
@@ -160,10 +161,9 @@ def check_coordinates(points: FloatArray) -> None:
     ValueError
         If a coordinate is not finite, or so large that GEOS crashes on it or never ends.
     """
-    if not np.isfinite(points).all():
-        raise ValueError(PROBLEMS[Defect.NOT_FINITE])
-    if np.abs(points).max(initial=0.0) > FARTHEST:
-        raise ValueError(PROBLEMS[Defect.NO_RECTANGLE])
+    defect = range_defect(points)
+    if defect != Defect.NONE:
+        raise ValueError(PROBLEMS[defect])
 
 
 def outline(rings: Sequence[FloatArray], box: Box) -> tuple[Box, FloatArray]:
@@ -217,10 +217,10 @@ def _convex_ring(points: FloatArray) -> FloatArray:
 
 
 def _is_upright(ring: FloatArray) -> bool:
-    edges = np.roll(ring, -1, axis=0) - ring
-    zero = edges == 0.0
-    # Every edge along one axis, and not two in a row along the same.
-    return bool((zero.sum(axis=1) == 1).all() and (zero[0] != zero[1]).all())
+    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = ring.tolist()
+    return x0 != x2 and y0 != y2 and (
+        (y0, x1, y2, x3) == (y1, x2, y3, x0) or (x0, y1, x2, y3) == (x1, y2, x3, y0)
+    )
 
 
 def enclose(path: Path, records: Sequence[Outlined], on_error: OnError) -> list[Outlined]:

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from collections.abc import Iterator
 from pathlib import Path
 
+from obbhbb_ros.files import write_text
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import LabelError
 from obbhbb_ros.labels.records import OnError
@@ -136,14 +137,11 @@ def write_lines(path: Path, lines: Iterable[str]) -> None:
     """
     Write lines as UTF-8 with LF ends, making the folders above.
 
-    The text is complete before the file is opened: whatever fails on the way to it leaves an
-    older file as it was.
+    Whatever fails leaves an older file as it was.
 
     Raises
     ------
     OSError
         If the file cannot be written.
     """
-    data = ''.join(f'{line}\n' for line in lines).encode()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(data)
+    write_text(path, ''.join(f'{line}\n' for line in lines))

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from obbhbb_ros.files import write_text
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.methods import METHODS
 from obbhbb_ros.nodes import play_detections
@@ -171,7 +172,7 @@ def _comment(text: str, indent: str) -> list[str]:
 def main() -> None:
     """Rewrite the files of the checkout in the working folder."""
     for path, text in documents(Path.cwd()).items():
-        path.write_text(text, encoding='utf-8')
+        write_text(path, text)
         print(path)
 
 

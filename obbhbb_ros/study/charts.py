@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.files import replacing
 from obbhbb_ros.study.calibration import Surface
 from obbhbb_ros.study.evaluation import TILT_BANDS
 from obbhbb_ros.study.evaluation import Score
@@ -245,9 +246,8 @@ def save(figure: Figure, path: Path) -> None:
     path : Path
         Picture file; the suffix tells the format.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with _styled():
-        figure.savefig(path, dpi=120)
+    with _styled(), replacing(path) as whole:
+        figure.savefig(whole, dpi=120)
 
 
 def svg(figure: Figure) -> str:

@@ -27,6 +27,7 @@ from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_by_rule
 from obbhbb_ros.crops import CropSettings
 from obbhbb_ros.crops import plan_crops
+from obbhbb_ros.files import replacing
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.study.plots import COLORS
 from obbhbb_ros.study.summary import text_table
@@ -243,4 +244,5 @@ def draw_costs(
     bars.set(ylabel='of what the outer boxes cost', ylim=(0.0, 1.25))
     bars.set_title('cost of the chips')
     bars.legend(loc='upper center', ncols=1, frameon=False)
-    figure.savefig(path, dpi=75)
+    with replacing(path) as whole:
+        figure.savefig(whole, dpi=75)

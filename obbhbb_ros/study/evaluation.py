@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Iterable
 from collections.abc import Mapping
@@ -22,6 +23,7 @@ from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_by_rule
 from obbhbb_ros.converter import half_extents
 from obbhbb_ros.converter import to_xyxy
+from obbhbb_ros.files import write_text
 from obbhbb_ros.methods import METHODS
 from obbhbb_ros.study.metrics import PROTOCOLS
 from obbhbb_ros.study.metrics import Overlap
@@ -562,7 +564,7 @@ def write_json(path: Path, scores: Iterable[Score], settings: Settings) -> None:
         'scores': [{k: _plain(v) for k, v in asdict(score).items()} for score in scores],
     }
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + '\n', encoding='utf-8')
+    write_text(path, text + '\n')
 
 
 def _plain(value: Any) -> Any:
@@ -583,7 +585,8 @@ def write_csv(path: Path, scores: Iterable[Score]) -> None:
     scores : iterable of Score
         What `evaluate` gives.
     """
-    with path.open('w', encoding='utf-8', newline='') as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Score)], lineterminator='\n')
-        writer.writeheader()
-        writer.writerows(asdict(score) for score in scores)
+    file = io.StringIO()
+    writer = csv.DictWriter(file, [field.name for field in fields(Score)], lineterminator='\n')
+    writer.writeheader()
+    writer.writerows(asdict(score) for score in scores)
+    write_text(path, file.getvalue())

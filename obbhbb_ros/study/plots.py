@@ -10,6 +10,7 @@ import numpy as np
 
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.files import replacing
 from obbhbb_ros.labels import ImageLabels
 
 COLORS = {
@@ -64,7 +65,8 @@ def draw_scene(labels: ImageLabels, boxes: Mapping[str, FloatArray], path: Path)
         # Room below for the legend; 'outside' places are not known to matplotlib 3.6.
         figure.set_layout_engine('constrained', rect=(0.0, 0.08, 1.0, 0.92))
         figure.legend(handles=_legend(boxes), loc='lower center', ncol=5)
-    figure.savefig(path, dpi=100)
+    with replacing(path) as whole:
+        figure.savefig(whole, dpi=100)
 
 
 def _typical(labels: ImageLabels) -> list[int]:
