@@ -6,6 +6,7 @@ import os
 import secrets
 import shutil
 import tempfile
+from collections.abc import Iterable
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -81,9 +82,13 @@ def replacing_all(path: Path) -> Iterator[Path]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text as UTF-8, whole or not at all, see `replacing`."""
-    data = text.encode()
-    with replacing(path) as partial:
-        partial.write_bytes(data)
+    write_pieces(path, (text,))
+
+
+def write_pieces(path: Path, pieces: Iterable[str]) -> None:
+    """Write a text piece by piece, as `write_text` does; a long one is never in memory at once."""
+    with replacing(path) as partial, partial.open('w', encoding='utf-8', newline='') as stream:
+        stream.writelines(pieces)
 
 
 def _put_in_place(made: Path, path: Path) -> None:

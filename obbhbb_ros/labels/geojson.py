@@ -17,9 +17,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from obbhbb_ros.files import write_pieces
 from obbhbb_ros.labels.converted import ConvertedImage
 from obbhbb_ros.labels.documents import json_member
 from obbhbb_ros.labels.documents import read_json
@@ -36,7 +38,6 @@ from obbhbb_ros.labels.shapes import Outlined
 from obbhbb_ros.labels.shapes import by_image
 from obbhbb_ros.labels.shapes import enclose
 from obbhbb_ros.labels.shapes import ring_of
-from obbhbb_ros.labels.text import write_lines
 
 MARKS = ('"FeatureCollection"', '"Feature"')
 
@@ -65,10 +66,10 @@ def read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterato
     except LabelError as error:
         on_error(error)
         return
-    records = []
+    records, stem = [], path.stem
     for index, feature in enumerate(features):
         try:
-            records.append(_record(path.stem, f'features[{index}]: ', feature))
+            records.append(_record(stem, f'features[{index}]: ', feature))
             # A long file is held once: as the feature goes, the record comes.
             features[index] = None
         except ValueError as error:
@@ -157,13 +158,15 @@ def write_boxes(path: Path, images: list[ConvertedImage]) -> None:
     images : list of ConvertedImage
         The images.
     """
-    properties, boxes = converted_features(images)
+    properties, bounds = converted_features(images)
+    boxes = bounds.tolist()
     dump = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
-    features = ', '.join(
-        dump({'type': 'Feature', 'properties': fields, 'geometry': _polygon(*box)})
-        for fields, box in zip(properties, boxes.tolist(), strict=True)
+    features = (
+        f'{", " if index else ""}'
+        + dump({'type': 'Feature', 'properties': fields, 'geometry': _polygon(*boxes[index])})
+        for index, fields in enumerate(properties)
     )
-    write_lines(path, [f'{{"type": "FeatureCollection", "features": [{features}]}}'])
+    write_pieces(path, chain(['{"type": "FeatureCollection", "features": ['], features, [']}\n']))
 
 
 def _polygon(x_min: float, y_min: float, x_max: float, y_max: float) -> dict[str, object]:

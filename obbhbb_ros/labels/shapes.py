@@ -149,7 +149,7 @@ def ring_of(values: object) -> FloatArray:
         raise ValueError('a ring is not a list of positions') from None
     if ring.ndim != 2 or ring.shape[1] < 2:
         raise ValueError('a ring is not a list of positions')
-    return np.ascontiguousarray(ring[:, :2])
+    return ring if ring.shape[1] == 2 else np.ascontiguousarray(ring[:, :2])
 
 
 def check_coordinates(points: FloatArray) -> None:
@@ -193,7 +193,7 @@ def outline(rings: Sequence[FloatArray], box: Box) -> tuple[Box, FloatArray]:
     """
     if not rings:
         raise ValueError('the polygon is empty')
-    points = np.concatenate(rings)
+    points = rings[0] if len(rings) == 1 else np.concatenate(rings)
     check_coordinates(points)
     ring = _without_closing(rings[0])
     if len(rings) > 1:
@@ -252,7 +252,9 @@ def enclose(path: Path, records: Sequence[Outlined], on_error: OnError) -> list[
             continue
         defect, corners = next(found)
         if defect == Defect.NONE:
-            complete.append(record._replace(box=record.box._replace(corners=corners)))
+            box = record.box
+            box = Box(corners, box.class_id, box.id, box.score, box.reference, box.hull)
+            complete.append(Outlined(record.image, record.place, record.line, box))
         else:
             message = f'{record.place}{PROBLEMS[Defect(defect)]}'
             on_error(LabelError(path, record.line, message))

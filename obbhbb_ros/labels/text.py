@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from collections.abc import Iterator
 from pathlib import Path
 
-from obbhbb_ros.files import write_text
+from obbhbb_ros.files import write_pieces
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import LabelError
 from obbhbb_ros.labels.records import OnError
@@ -144,4 +144,4 @@ def write_lines(path: Path, lines: Iterable[str]) -> None:
     OSError
         If the file cannot be written.
     """
-    write_text(path, ''.join(f'{line}\n' for line in lines))
+    write_pieces(path, (f'{line}\n' for line in lines))
