@@ -30,6 +30,7 @@ import numpy as np
 from obbhbb_ros.labels.converted import ConvertedBox
 from obbhbb_ros.labels.converted import ConvertedImage
 from obbhbb_ros.labels.converted import converted_boxes
+from obbhbb_ros.labels.documents import checked_text
 from obbhbb_ros.labels.documents import image_size_of
 from obbhbb_ros.labels.documents import json_member
 from obbhbb_ros.labels.documents import json_numbers
@@ -137,7 +138,7 @@ def _image(key: str, record: dict[str, Any]) -> _Image:
     name = json_member(record, 'file_name')
     if not isinstance(name, str) or not name:
         raise ValueError("'file_name' is no name")
-    return _Image(key, name, image_size_of(record.get('width'), record.get('height')))
+    return _Image(key, checked_text(name), image_size_of(record.get('width'), record.get('height')))
 
 
 def _category(_: str, record: object) -> str:

@@ -287,12 +287,35 @@ def _finite(value: object, what: str) -> float:
 
 
 def plain_text(value: object) -> str:
-    """Turn a JSON or table value into the text of an id or a class; '' for none."""
+    """
+    Turn a JSON or table value into the text of an id or a class; '' for none.
+
+    Raises
+    ------
+    ValueError
+        If it holds half a character, which JSON can name and no file can hold.
+    """
     if isinstance(value, str):
-        return value
+        return checked_text(value)
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ''
     if isinstance(value, float) and value.is_integer():
         # Tables that have a missing value somewhere keep whole numbers as 3.0.
         return str(int(value))
     return str(value)
+
+
+def checked_text(text: str) -> str:
+    """
+    Give a text that can be written to a file.
+
+    Raises
+    ------
+    ValueError
+        If it cannot.
+    """
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise ValueError(f'{text!r} holds half a character (a lone surrogate)') from None
+    return text

@@ -47,13 +47,18 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
     ------
     FileNotFoundError
         If there is no such path.
+    ValueError
+        If it is a pipe or a device.
     LabelError
         If a folder holds no label file.
     """
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, 'no such label file or folder', str(path))
-    if not path.is_dir():
+    if path.is_file():
         return [path]
+    if not path.is_dir():
+        # A pipe would be waited for, and formats are told from what is read twice.
+        raise ValueError(f'{path}: neither a regular file nor a folder')
     files = sorted(each for each in path.iterdir() if _is_label_file(each, suffixes))
     if not files:
         wanted = ', '.join(sorted(suffixes))

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from obbhbb_ros.labels.files import IMAGE_SUFFIXES
 from obbhbb_ros.labels.records import LabelError
 
 ADVICE = 'pass image_size=(width, height)'
+# 32768 x 32768; three bytes each are 3 GB.
+MOST_PIXELS = 2**30
 EXIF_ORIENTATION = 0x0112
 EXIF_TURNED = (5, 6, 7, 8)
 
@@ -81,14 +85,42 @@ def _image_folders(folder: Path) -> Iterator[Path]:
         yield Path(*parts[:last], 'images', *parts[last + 1 :])
 
 
-def _shown_size(path: Path) -> tuple[int, int]:
+@contextmanager
+def opened_image(path: Path) -> Iterator[Any]:
+    """
+    Open an image that may be as large as a satellite scene.
+
+    Yields
+    ------
+    PIL.Image.Image
+        The image, not decoded yet.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If Pillow is not installed.
+    OSError, ValueError
+        If it cannot be read, or has more than `MOST_PIXELS` pixels.
+    """
     from PIL import Image
 
-    with warnings.catch_warnings():
-        # Pillow warns of large images; nothing is decoded here, and satellite scenes are large.
-        warnings.simplefilter('ignore', Image.DecompressionBombWarning)
-        with Image.open(path) as image:
-            width, height = image.size
-            # Only for JPEG: of other formats Pillow may decode the whole image to find it.
-            turned = image.format == 'JPEG' and image.getexif().get(EXIF_ORIENTATION) in EXIF_TURNED
+    # Pillow refuses what has twice as many pixels as this, and warns before.
+    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MOST_PIXELS // 2
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', Image.DecompressionBombWarning)
+            image = Image.open(path)
+    except Image.DecompressionBombError as error:
+        raise ValueError(f'{path}: {error}') from None
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
+    with image:
+        yield image
+
+
+def _shown_size(path: Path) -> tuple[int, int]:
+    with opened_image(path) as image:
+        width, height = image.size
+        # Only for JPEG: of other formats Pillow may decode the whole image to find it.
+        turned = image.format == 'JPEG' and image.getexif().get(EXIF_ORIENTATION) in EXIF_TURNED
     return (height, width) if turned else (width, height)

@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.labels.files import IMAGE_SUFFIXES
 from obbhbb_ros.labels.image_size import image_of
+from obbhbb_ros.labels.image_size import opened_image
 from obbhbb_ros.labels.records import ImageLabels
 
 _EXACT_MODES = {'L': 'mono8', 'RGB': 'rgb8', 'RGBA': 'rgba8', 'I;16': 'mono16'}
+# Pillow before 10.3 has these for grey images of 16 bits.
+_WIDER_MODES = ('I', 'I;16B', 'I;16L')
 
 
 def find_images(labels: Sequence[ImageLabels]) -> list[Path | None]:
@@ -66,14 +69,22 @@ def load_image(path: Path) -> tuple[str, NDArray[Any]]:
     OSError, ValueError
         If the file cannot be read.
     """
-    from PIL import Image
     from PIL import ImageOps
 
-    with Image.open(path) as stored:
+    with opened_image(path) as stored:
         shown = ImageOps.exif_transpose(stored)
+        if shown.mode in _WIDER_MODES and (pixels := _as_16_bits(np.asarray(shown))) is not None:
+            return 'mono16', pixels
         if shown.mode not in _EXACT_MODES:
             shown = shown.convert('RGB')
         return _EXACT_MODES[shown.mode], np.asarray(shown)
+
+
+def _as_16_bits(pixels: NDArray[Any]) -> NDArray[np.uint16] | None:
+    """Give pixels as 16 bits, if they fit."""
+    if pixels.size and (pixels.min() < 0 or pixels.max() > np.iinfo(np.uint16).max):
+        return None
+    return pixels.astype(np.uint16)
 
 
 def _stem(image: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -10,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
+from obbhbb_ros.boxes import BLOCK
 from obbhbb_ros.boxes import FARTHEST
 from obbhbb_ros.boxes import Defect
 from obbhbb_ros.boxes import OrientedBoxes
@@ -223,16 +225,17 @@ def _is_upright(ring: FloatArray) -> bool:
     )
 
 
-def enclose(path: Path, records: Sequence[Outlined], on_error: OnError) -> list[Outlined]:
+def enclose(path: Path, records: list[Outlined], on_error: OnError) -> list[Outlined]:
     """
-    Lay the minimum rotated rectangle around every outline, all of a file at once.
+    Lay the minimum rotated rectangle around every outline of a file.
 
     Parameters
     ----------
     path : Path
         The file they came from.
-    records : sequence of Outlined
-        The records; those without points stay as they are.
+    records : list of Outlined
+        The records; those without points stay as they are. The list is emptied on the way: of a
+        large file there would be every outline beside its box.
     on_error : callable
         Gets a LabelError for each outline that no rectangle lies around; it is left out.
 
@@ -241,24 +244,32 @@ def enclose(path: Path, records: Sequence[Outlined], on_error: OnError) -> list[
     list of Outlined
         Every record with its corners, in the same order.
     """
+    complete: list[Outlined] = []
+    records.reverse()
+    while records:
+        block = records[: -BLOCK - 1 : -1]
+        del records[-BLOCK:]
+        complete += _enclosed(path, block, on_error)
+    return complete
+
+
+def _enclosed(path: Path, records: Sequence[Outlined], on_error: OnError) -> Iterator[Outlined]:
+    """Lay rectangles around some outlines."""
     outlines = [record.points for record in records if record.points is not None]
     with np.errstate(over='ignore', invalid='ignore'):
         boxes = OrientedBoxes.from_polygons(outlines)
     found = zip(boxes.defects.tolist(), boxes.corners.reshape(-1, 8).tolist(), strict=True)
-    complete = []
     for record in records:
         if record.points is None:
-            complete.append(record)
+            yield record
             continue
         defect, corners = next(found)
         if defect == Defect.NONE:
-            box = record.box
-            box = Box(corners, box.class_id, box.id, box.score, box.reference, box.hull)
-            complete.append(Outlined(record.image, record.place, record.line, box))
+            box = record.box._replace(corners=corners)
+            yield Outlined(record.image, record.place, record.line, box)
         else:
             message = f'{record.place}{PROBLEMS[Defect(defect)]}'
             on_error(LabelError(path, record.line, message))
-    return complete
 
 
 def by_image(records: Sequence[Outlined]) -> dict[str, list[Box]]:

@@ -114,7 +114,9 @@ def convert_image(
     boxes = OrientedBoxes.from_corners(labels.corners)
     conversion = convert_with_diagnostics(boxes, rule, caps) if diagnostics else None
     xyxy = convert_by_rule(boxes, rule, caps) if conversion is None else conversion.xyxy
-    finite = np.isfinite(xyxy).all(axis=1)
+    # Formats that give an area have to be able to.
+    with np.errstate(over='ignore', invalid='ignore'):
+        finite = np.isfinite((xyxy[:, 2:] - xyxy[:, :2]).prod(axis=1))
     rows = np.flatnonzero(finite)
     bad = np.flatnonzero(~finite).tolist()
     converted = ConvertedImage(

@@ -9,8 +9,10 @@ from PIL import Image
 from obbhbb_ros.chips import encode
 from obbhbb_ros.cli import main
 from obbhbb_ros.crops import CropSettings
+from obbhbb_ros.labels import image_size
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
+from obbhbb_ros.labels.image_size import opened_image
 from obbhbb_ros.labels.images import find_images
 from obbhbb_ros.labels.images import load_image
 from obbhbb_ros.study.chips import ENCODERS
@@ -114,3 +116,29 @@ def test_a_photograph_is_read_as_it_is_shown(tmp_path) -> None:
     turned[0x0112] = 6
     Image.fromarray(np.zeros((20, 40, 3), np.uint8)).save(tmp_path / 'a.jpg', exif=turned)
     assert load_image(tmp_path / 'a.jpg')[1].shape == (40, 20, 3)
+
+
+def test_a_scene_that_pillow_would_refuse_is_opened(tmp_path) -> None:
+    size = (20_000, 10_000)
+    Image.new('1', size).save(tmp_path / 'scene.png')
+    with opened_image(tmp_path / 'scene.png') as stored:
+        assert stored.size == size
+    assert Image.MAX_IMAGE_PIXELS < 10**9
+
+
+def test_an_image_beyond_the_limit_is_an_error_that_names_it(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(image_size, 'MOST_PIXELS', 100)
+    Image.new('L', (20, 20)).save(tmp_path / 'scene.png')
+    with pytest.raises(ValueError, match=r'scene\.png: Image size \(400 pixels\) exceeds limit'):
+        load_image(tmp_path / 'scene.png')
+
+
+@pytest.mark.parametrize('mode', ['I', 'I;16'])
+def test_grey_images_of_16_bits_keep_their_depth(tmp_path, mode) -> None:
+    seen = np.arange(0, 65536, 64, dtype=np.uint16).reshape(32, 32)
+    Image.fromarray(seen.astype(np.int32 if mode == 'I' else np.uint16)).save(tmp_path / 'a.tiff')
+    with Image.open(tmp_path / 'a.tiff') as stored:
+        assert stored.mode == mode
+    encoding, pixels = load_image(tmp_path / 'a.tiff')
+    assert (encoding, pixels.dtype) == ('mono16', np.uint16)
+    np.testing.assert_array_equal(pixels, seen)

@@ -1,0 +1,206 @@
+"""The commands where things go wrong: full disks, closed pipes, Ctrl-C, records from hell."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from obbhbb_ros.cli import main
+from obbhbb_ros.files import replacing
+from obbhbb_ros.labels import read_labels
+
+OBBHBB = [sys.executable, '-m', 'obbhbb_ros.cli']
+HEAD = 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4,hx1,hy1,hx2,hy2\n'
+ROW = 'P{},{},ship,0,0,40,6,38,20,-2,14,-2,0,40,20\n'
+
+
+@pytest.fixture
+def ships(tmp_path: Path) -> Path:
+    path = tmp_path / 'ships.csv'
+    path.write_text(HEAD + ''.join(ROW.format(i % 10, i) for i in range(400)))
+    return path
+
+
+# A full disk ----------------------------------------------------------------------------------
+
+OUTPUTS = {
+    'coco': ['convert', 'SHIPS', 'OUT.json', '--to', 'coco'],
+    'geojson': ['convert', 'SHIPS', 'OUT.geojson'],
+    'csv': ['convert', 'SHIPS', 'OUT.csv'],
+    'shapefile': ['convert', 'SHIPS', 'OUT.shp'],
+    'scores as JSON': ['evaluate', 'SHIPS', '--bootstrap', '10', '--json', 'OUT.json'],
+    'scores as CSV': ['evaluate', 'SHIPS', '--bootstrap', '10', '--csv', 'OUT.csv'],
+    'a chart': ['evaluate', 'SHIPS', '--bootstrap', '10', '--plot', 'OUT.png'],
+    'a report': ['report', 'SHIPS', '--gallery', '2', '-o', 'OUT.html'],
+    'a parameter file': ['calibrate', 'SHIPS', '--folds', '0', '-o', 'OUT.yaml'],
+    'a picture': ['chips', '--picture', 'OUT.png'],
+}
+
+
+@pytest.mark.parametrize('arguments', OUTPUTS.values(), ids=OUTPUTS)
+def test_a_full_disk_leaves_the_old_file_and_one_line(ships: Path, arguments: list[str]) -> None:
+    folder = ships.parent / 'out'
+    folder.mkdir()
+    suffix = next(Path(each).suffix for each in arguments if each.startswith('OUT'))
+    old = folder / f'OUT{suffix}'
+    old.write_text('good')
+    command = [
+        str(ships) if each == 'SHIPS' else str(folder / each) if each.startswith('OUT') else each
+        for each in arguments
+    ]
+    done = subprocess.run(
+        [*OBBHBB, *command], capture_output=True, text=True, check=False, timeout=120,
+        # Files end after 300 bytes, as they do on a disk that has no more.
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (300, 300)),
+        env={**os.environ, 'PYTHONDONTWRITEBYTECODE': '1'},
+    )
+    assert done.returncode == 1, done.stderr
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith('obbhbb: ')
+    assert str(old) in last
+    assert 'Traceback' not in done.stderr
+    assert old.read_text() == 'good'
+    assert list(folder.iterdir()) == [old]
+
+
+def test_output_that_cannot_be_written_is_said(ships: Path) -> None:
+    with open('/dev/full', 'w') as full:
+        done = subprocess.run(
+            [*OBBHBB, 'convert', ships, ships.with_name('out.json'), '--to', 'coco'],
+            stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )
+    assert done.returncode == 1
+    assert done.stderr == 'obbhbb: [Errno 28] No space left on device\n'
+
+
+def test_a_file_is_replaced_through_a_link_and_keeps_its_mode(tmp_path: Path) -> None:
+    file, link = tmp_path / 'file', tmp_path / 'link'
+    file.write_text('old')
+    file.chmod(0o640)
+    link.symlink_to(file)
+    with replacing(link) as partial:
+        partial.write_text('new')
+        assert file.read_text() == 'old'
+    assert file.read_text() == 'new'
+    assert file.stat().st_mode & 0o777 == 0o640
+    assert link.is_symlink()
+
+
+def test_a_device_is_written_to_as_it_is() -> None:
+    with replacing(Path('/dev/null')) as whole:
+        whole.write_text('gone')
+    assert not Path('/dev/null').is_file()
+
+
+# Interrupted ----------------------------------------------------------------------------------
+
+LONG = {
+    'convert': ['convert', 'SHIPS', 'OUT.csv'],
+    'evaluate': ['evaluate', 'SHIPS', '--bootstrap', '1000000'],
+    'calibrate': ['calibrate', 'SHIPS', '--grid', 'wide', '--folds', '200', '--per-class'],
+    'report': ['report', 'SHIPS', '--gallery', '10000', '-o', 'OUT.html'],
+    'chips': ['chips'],
+}
+
+
+@pytest.mark.parametrize('arguments', LONG.values(), ids=LONG)
+def test_ctrl_c_ends_a_command_in_silence(ships: Path, arguments: list[str]) -> None:
+    if arguments[0] != 'chips':
+        ships.write_text(HEAD + ''.join(ROW.format(i % 10, i) for i in range(100_000)))
+    command = [
+        {'SHIPS': str(ships)}.get(each, each.replace('OUT', str(ships.with_name('out'))))
+        for each in arguments
+    ]
+    process = subprocess.Popen(
+        [*OBBHBB, *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        # A shell that starts it in the background has SIGINT ignored.
+        preexec_fn=lambda: signal.signal(  # noqa: PLW1509
+            signal.SIGINT, signal.default_int_handler
+        ),
+    )
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    _, printed = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert 'Traceback' not in printed
+    assert 'KeyboardInterrupt' not in printed
+    assert not list(ships.parent.glob('out*'))
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(ships: Path) -> None:
+    reading, writing = os.pipe()
+    process = subprocess.Popen(
+        [*OBBHBB, 'evaluate', ships, '--bootstrap', '10'], stdout=writing,
+        stderr=subprocess.PIPE, text=True,
+    )
+    os.close(writing)
+    os.close(reading)
+    _, printed = process.communicate(timeout=60)
+    assert printed == ''
+    assert process.returncode == 128 + signal.SIGPIPE
+
+
+# Input from hell ------------------------------------------------------------------------------
+
+def test_a_pipe_is_refused_instead_of_waited_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.mkfifo(tmp_path / 'labels.csv')
+    assert main(['convert', str(tmp_path / 'labels.csv'), str(tmp_path / 'out.csv')]) == 1
+    assert capsys.readouterr().err == (
+        f'obbhbb: {tmp_path / "labels.csv"}: neither a regular file nor a folder\n'
+    )
+
+
+SQUARE = [10, 10, 30, 10, 30, 30, 10, 30]
+BAD_ANNOTATIONS = {
+    'a polygon far out': {'segmentation': [[1e308, 0, 0, 1e308, -1e308, 5]]},
+    'a box far out': {'segmentation': [], 'bbox': [1e308, 1e308, 1e308, 1e308]},
+    'a class with half a character': {'category_id': 2},
+    'an image with half a character': {'image_id': 2},
+    'an id with half a character': {'id': 'x\ud800'},
+}
+
+
+@pytest.mark.parametrize('suffix', ['json', 'csv', 'geojson', 'shp'])
+@pytest.mark.parametrize('bad', BAD_ANNOTATIONS.values(), ids=BAD_ANNOTATIONS)
+def test_one_bad_record_costs_a_coco_file_nothing_else(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], bad: dict[str, object], suffix: str
+) -> None:
+    good = {'id': 1, 'image_id': 1, 'category_id': 1, 'segmentation': [SQUARE]}
+    images = [{'id': 1, 'file_name': 'a.png', 'width': 99, 'height': 99}]
+    images.append({**images[0], 'id': 2, 'file_name': 'b\ud800.png'})
+    document = {
+        'images': images[: 1 + ('image_id' in bad)],
+        'categories': [{'id': 1, 'name': 'ship'}, {'id': 2, 'name': 'a\ud800'}][
+            : 1 + ('category_id' in bad)
+        ],
+        'annotations': [good, {**good, **bad}, good],
+    }
+    path = tmp_path / 'all.json'
+    path.write_text(json.dumps(document))
+    out = tmp_path / f'out.{suffix}'
+    to = {'json': 'coco', 'shp': 'shapefile'}.get(suffix, suffix)
+    assert main(['convert', str(path), str(out), '--to', to]) == 0
+    printed = capsys.readouterr()
+    assert '2 boxes converted' in printed.out
+    assert 'annotations[1]' in printed.err or 'box 2 left out' in printed.err
+    assert sum(len(labels.class_ids) for labels in read_labels(out, to)) == 2
+
+
+def test_boxes_whose_area_overflows_are_left_out_by_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'all.csv'
+    far = 'a,7,ship,1e308,0,-1e308,0,9,5,0,5,,,,\n'
+    path.write_text(HEAD + ROW.format(1, 1) + far + ROW.format(1, 2))
+    assert main(['convert', str(path), str(tmp_path / 'out.json'), '--to', 'coco']) == 0
+    assert "image 'a': box 1 left out: overflow" in capsys.readouterr().err
