@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Build script, for colcon (ament_python) and for pip."""
 
 from glob import glob
@@ -51,6 +52,7 @@ setup(
         'chips': IMAGES,
         'bench': PEERS,
         'geo': GEO,
+        'fiona': ['fiona>=1.9'],
         'progress': PROGRESS,
         'test': [
             'hypothesis>=6.80', 'pytest>=7.4', 'colcon-common-extensions', *GEO, *IMAGES, *LINT,

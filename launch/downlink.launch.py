@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Launch conversion and chips: `ros2 launch obbhbb_ros downlink.launch.py --show-args`."""
 
 from ament_index_python.packages import get_package_share_directory

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Arrays of oriented boxes, from corners, from centre, size and angle, and from polygons.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 A link's budget: which chips of a frame may go, the most valuable first.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Image and crop plan in, encoded chips out.
 

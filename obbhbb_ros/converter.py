@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Oriented boxes and a rule in, axis-aligned boxes out, with flags and diagnostics."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Axis-aligned boxes in, crop plan out: which whole-pixel regions of the image are worth sending.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 The conversion rules: how far a hull reaches along the image axes.
 

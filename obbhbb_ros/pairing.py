@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pairs what belongs to the same stamp, in bounded memory, whichever comes first."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 CDR bytes <-> arrays, without ROS: `vision_msgs/Detection2DArray` and `sensor_msgs/Image`.
 

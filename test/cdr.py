@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 An encoder of `Detection2DArray`, written from the CDR rules field by field.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What hypothesis draws from: oriented boxes as people and detectors give them."""
 
 import numpy as np

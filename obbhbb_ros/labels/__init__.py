@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Label files <-> boxes: one module a format, behind one reader and one writer.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 COCO detection JSON: one file of many images, in pixels.
 

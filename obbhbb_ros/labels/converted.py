@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Axis-aligned boxes on their way to a file."""
 
 from __future__ import annotations

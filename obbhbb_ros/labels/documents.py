@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """XML and JSON label files: whole documents in, with what is wrong with them as a LabelError."""
 
 from __future__ import annotations

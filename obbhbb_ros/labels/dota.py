@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 DOTA labelTxt (v1.0, v1.5, v2.0): one text file an image, one box a line, in pixels.
 

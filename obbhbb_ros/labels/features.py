@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Geographic features, whatever file they come from: properties and polygons to records."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which files of a folder are label files, and which file an image's labels go to."""
 
 from __future__ import annotations

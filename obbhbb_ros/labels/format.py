@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a label format has to offer to be read and written like the others."""
 
 from __future__ import annotations

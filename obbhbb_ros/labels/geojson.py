@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 GeoJSON: a FeatureCollection of polygons, one ship a feature.
 

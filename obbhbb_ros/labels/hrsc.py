@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 HRSC2016: one XML file an image, oriented and axis-aligned box of each ship, in pixels.
 

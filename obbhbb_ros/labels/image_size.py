@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The size of the image that a label file belongs to, for formats that do not tell it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The images that labels belong to: where they are, and their pixels. Reading takes Pillow."""
 
 from __future__ import annotations

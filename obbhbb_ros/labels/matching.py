@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Oriented boxes and reference boxes of different files, brought together by their overlap."""
 
 from __future__ import annotations

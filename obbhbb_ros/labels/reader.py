@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The one way to read labels, whatever their format."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What every label format is read into and written from."""
 
 from __future__ import annotations

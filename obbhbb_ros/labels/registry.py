@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All label formats by name, and the one that a path holds."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """CSV files of many images, one box a row: what their formats have in common."""
 
 from __future__ import annotations

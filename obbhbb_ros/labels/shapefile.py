@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 ESRI shapefile of polygons, one ship a feature; takes the extra `geo` (GeoPandas).
 

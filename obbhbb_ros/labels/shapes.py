@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corners of boxes from what formats give instead: bounds, centre and angle, polygons."""
 
 from __future__ import annotations

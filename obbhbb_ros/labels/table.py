@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 CSV: one file of many images, one box a row, in pixels.
 

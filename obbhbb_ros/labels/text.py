@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Text label files: lines and numbers in, lines out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Pascal-VOC XML: one file an image, in pixels as they stand in the file.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 CSV with a column of WKT: one file of many images, one polygon a row.
 

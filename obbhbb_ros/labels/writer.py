@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The one way to write labels, and the one to write converted boxes, whatever their format."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Ultralytics YOLO: one text file an image, one axis-aligned box a line, as fractions of the image.
 

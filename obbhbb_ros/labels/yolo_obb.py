@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Ultralytics YOLO-OBB: one text file an image, one box a line, corners as fractions of the image.
 

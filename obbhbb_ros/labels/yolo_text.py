@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the text formats of Ultralytics share: class indices, scores, fractions of an image."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 The executables. Signals come first, and only then everything that takes time to import.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The chip node: an image and its crop regions in, encoded chips within the link's budget out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The chip node's parameter table, and the snapshot that one frame is cut under."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the demonstration asks of the node."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 An executor for a node with busy subscriptions.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 One input message as the node sees it, whichever way it was read.
 

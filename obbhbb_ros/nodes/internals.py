@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 What rclpy keeps to itself and the nodes use all the same; no other module does.
 

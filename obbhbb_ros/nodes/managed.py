@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the managed nodes have in common: life cycle, topics, diagnostics, warnings."""
 
 from __future__ import annotations

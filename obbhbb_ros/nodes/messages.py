@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Typed messages <-> arrays: the path that takes whatever the byte-level one declines."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a node tells of itself: counters, rates, latency percentiles, parameters in force."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The conversion node: oriented detections in, axis-aligned boxes and crop regions out."""
 
 from __future__ import annotations

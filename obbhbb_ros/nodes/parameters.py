@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Parameter tables: one row a parameter, and all that follows from a row.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A player: publishes label files as detections, so that anyone can try the node."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From command line to clean exit: what every node's process does."""
 
 from __future__ import annotations

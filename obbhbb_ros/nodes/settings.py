@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 The conversion node's parameter table, and the snapshot that one message is converted under.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SIGINT and SIGTERM, from the first line of a node's process to its last."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Which q, f and s fly: the paper's grid search (Algorithm 2), and what it lacks.
 

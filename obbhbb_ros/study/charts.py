@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of numbers: angle bands, calibration surfaces, hull forms. Needs the extra `plots`."""
 
 from __future__ import annotations

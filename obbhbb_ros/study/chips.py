@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 What the tight box is worth on the downlink: pixels and encoded bytes of each method's chips.
 

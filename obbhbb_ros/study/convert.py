@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Label files of oriented boxes to label files of axis-aligned ones."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All methods side by side: figures by protocol, by tilt, by aspect ratio, by class."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 The synthetic harbour that the package carries.
 

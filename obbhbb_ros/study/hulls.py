@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Synthetic hulls: the paper's four families at its four levels of fullness.
 

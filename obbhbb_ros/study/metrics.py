@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 How good a box is: overlap with a reference, and what of a hull it holds.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a calibration comes to: rules, how they do on images they have not seen, a YAML file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of boxes and hulls. Needs matplotlib, the extra `plots`."""
 
 from __future__ import annotations

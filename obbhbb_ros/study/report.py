@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 One HTML page of everything: tables, curves, calibration, synthetic hulls, a gallery of ships.
 

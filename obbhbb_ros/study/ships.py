@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ships to measure on: the labels of many images as one set of arrays."""
 
 from __future__ import annotations

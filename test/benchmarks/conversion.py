@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Conversion of oriented boxes, every method, against what else one could do with the corners.
 

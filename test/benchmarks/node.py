@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Round trip through the node over DDS, against a raw echo and a typed min/max node.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes to measure against: a wire, and what a user would write."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Processor time of a node at a detector's pace, diagnostics and idling between messages included.
 

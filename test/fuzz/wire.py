@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Feed damaged messages to `obbhbb_ros.wire`, by structured mutation or guided by coverage.
 
@@ -16,6 +17,7 @@ import struct
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -108,7 +110,12 @@ def mutated(data: bytearray, source: random.Random) -> bytes:
     return bytes(data[: source.randrange(len(data) + 1)] if source.random() < 0.05 else data)
 
 
-def run_mutations(inputs: int, seed: int) -> None:
+def run_mutations(
+    inputs: int,
+    seed: int,
+    seed_message: Callable[[random.Random], bytes] = seed_message,
+    check: Callable[[bytes], str] = check,
+) -> None:
     """Try many inputs; on a failure write the input to a file."""
     source = random.Random(seed)
     seeds = [seed_message(source) for _ in range(300)]

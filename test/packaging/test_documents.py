@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is written twice says the same: manifest, configuration files, README tables."""
 
 from importlib.metadata import version

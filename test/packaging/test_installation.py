@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The package as others get it: a wheel for pip, a colcon build for ROS."""
 
 import os

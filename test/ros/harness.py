@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes in processes of their own, and a peer that talks to them over DDS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ships as messages, and what has to become of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The file that `obbhbb calibrate` writes starts the node, whose boxes are those of the study."""
 
 import signal

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The chip node over DDS: exact pixels, every chip accounted for, the budget of the link."""
 
 from __future__ import annotations

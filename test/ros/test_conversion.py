@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Detections in, axis-aligned detections out, over DDS."""
 
 from __future__ import annotations

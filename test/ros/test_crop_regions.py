@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Crop regions: whole pixels inside the image, most valuable first."""
 
 from __future__ import annotations

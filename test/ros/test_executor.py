@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The express executor beside the stock one: whatever the contract of an executor promises."""
 
 from __future__ import annotations

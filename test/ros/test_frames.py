@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The byte-level path and the typed path write the same bytes of every message that both read."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Polygon input, both types, as the node's users send it."""
 
 from __future__ import annotations

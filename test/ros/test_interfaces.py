@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The message packages in use, released or from test/interfaces, are the interfaces we mean."""
 
 import ctypes

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Boxes that are none, polygons that enclose nothing, and bytes that are no message."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The managed node: every transition, by the services that lifecycle managers use."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters while the node runs: what is accepted, what is refused, and when it holds."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The player: label files in, messages out, and through the node with all input types."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The executable as users start and stop it: files, names, signals, quality of service."""
 
 from __future__ import annotations

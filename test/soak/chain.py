@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Run conversion and chips for a long time and account for every frame and every chip.
 

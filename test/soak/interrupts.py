@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Start every executable many times and interrupt it twice, as Ctrl-C under `ros2 launch` does.
 

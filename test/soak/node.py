@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """
 Run the node for a long time while its parameters flip, and hold every answer against both sets.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The budget of the link: never exceeded, the most valuable first, everything accounted for."""
 
 import itertools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What chips cost by method, on the synthetic harbour and on images beside their labels."""
 
 import shutil

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Chips: exactly the image's pixels, whatever its encoding, and files that hold them."""
 
 import io

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The commands where things go wrong: full disks, closed pipes, Ctrl-C, records from hell."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """convert(): the rules' invariants, the paper's numbers, real ships, and what is refused."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """plan_crops(): regions that lie in the image, hold their boxes, and keep to the limits."""
 
 from dataclasses import replace

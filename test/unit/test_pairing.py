@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pairs by stamp: each item has one fate, and what waits is bounded."""
 
 from collections import Counter
@@ -143,8 +144,8 @@ def test_every_item_has_one_fate_and_what_waits_is_bounded(events) -> None:
     fates = [item for pair in pairs for item in pair]
     fates += [item for _, _, item in log.let_go] + waiting_items(log)
     assert Counter(number for number, _ in fates) == Counter(range(len(events)))
-    stamps = [pair[0][1] for pair in pairs]
-    assert len(stamps) == len(set(stamps))
+    passes = 1 + len(log.ran_back)
+    assert max(Counter(pair[0][1] for pair in pairs).values(), default=0) <= passes
 
 
 def waiting_items(log):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Detections in their bytes: every message is read, only boxes change, nothing else is touched."""
 
 import struct

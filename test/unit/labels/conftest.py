@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Label files and labels for the tests of `obbhbb_ros.labels`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whatever a file holds, a reader with `on_error` ends, and what it yields is sound."""
 
 from __future__ import annotations

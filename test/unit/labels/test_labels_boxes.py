@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writing axis-aligned boxes, and reading them back as reference boxes."""
 
 from __future__ import annotations

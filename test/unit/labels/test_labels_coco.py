@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """COCO JSON."""
 
 from __future__ import annotations
@@ -52,9 +53,9 @@ def test_a_file_as_the_documentation_describes_it(put: Put) -> None:
     assert labels.hulls[0] is not None
     assert labels.hulls[0].ravel().tolist() == HULL
     box = shapely.Polygon(labels.corners[0])
-    assert shapely.equals_exact(
-        box.normalize(), shapely.box(10, 20, 30, 30).normalize(), tolerance=1e-9
-    )
+    # Of two rectangles of the same area: releases of GEOS differ in which they find.
+    assert box.area == pytest.approx(200.0)
+    assert box.buffer(1e-9).covers(shapely.Polygon(labels.hulls[0]))
     assert (empty.image, empty.size, len(empty.ids)) == ('train/P0707.png', (640, 480), 0)
 
 

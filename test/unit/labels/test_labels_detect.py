@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Telling the format of a path."""
 
 from __future__ import annotations

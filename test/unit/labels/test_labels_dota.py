@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The DOTA labelTxt format."""
 
 from __future__ import annotations

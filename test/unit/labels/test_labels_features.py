@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Polygons of geographic tools: GeoJSON, CSV with WKT, shapefiles."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Oriented boxes and the reference boxes of another source."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reading files and folders, whatever the format."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a record of labels and an error are."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The CSV table of many images."""
 
 from __future__ import annotations

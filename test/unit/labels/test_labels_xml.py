@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """HRSC2016 and Pascal-VOC XML, and what is refused of any XML."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ultralytics YOLO boxes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The YOLO-OBB format of Ultralytics, and the image sizes it needs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small fleets to measure on."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration: Algorithm 2, refinement, folds by image, and what coverage guarantees."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """obbhbb evaluate, calibrate, report: the whole way from files to files."""
 
 import json

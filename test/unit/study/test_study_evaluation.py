@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """evaluate(): known figures of real ships, bands, intervals, what is written and refused."""
 
 import csv

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Synthetic hulls: the families' form, and the paper's Table 1."""
 
 import numpy as np

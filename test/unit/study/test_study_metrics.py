@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of boxes: by hand, against shapely, and what always holds between them."""
 
 import numpy as np

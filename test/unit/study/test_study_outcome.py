@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a calibration comes to: what groups earn, and the parameter file."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ships from labels: what is kept, how they are banded, whose reference box is whose."""
 
 import numpy as np

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Feed damaged messages to the other inputs of the nodes: polygons, crop plans, images, camera infos.
+
+    python test/fuzz/inputs.py --inputs 200000          # of each kind
+
+Whatever the bytes are, the message is refused in reading, or everything that the node does with it
+comes to its end. GEOS ends the process where it fails, so this is run as it is, without a net.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import struct
+from array import array
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Point32
+from geometry_msgs.msg import Polygon
+from geometry_msgs.msg import PolygonStamped
+from polygon_msgs.msg import Point2D
+from polygon_msgs.msg import Polygon2D
+from polygon_msgs.msg import Polygon2DCollection
+from rclpy.serialization import deserialize_message
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import Image
+from wire import FORMS
+from wire import TEXTS
+from wire import run_mutations
+from wire import seed_message
+
+from obbhbb_ros.chips import PIXEL_FORMATS
+from obbhbb_ros.chips import ChipError
+from obbhbb_ros.chips import cut
+from obbhbb_ros.chips import pixel_format
+from obbhbb_ros.chips import placed
+from obbhbb_ros.chips import view_of
+from obbhbb_ros.converter import HullRule
+from obbhbb_ros.converter import half_extents
+from obbhbb_ros.converter import to_xyxy
+from obbhbb_ros.crops import CropSettings
+from obbhbb_ros.crops import plan_crops
+from obbhbb_ros.nodes import messages
+from obbhbb_ros.nodes.frames import TypedFrame
+from obbhbb_ros.wire import read_image
+
+EXTREMES = [0.0, -0.0, 5e-324, 1e-308, 1e15, 1e150, 1e154, 1e155, 1.7e308, np.nan, np.inf]
+
+
+def coordinate(source: random.Random) -> float:
+    """Make up a coordinate, now and then one that GEOS fails on."""
+    if source.random() < 0.1:
+        return source.choice([1, -1]) * source.choice(EXTREMES)
+    return source.choice([source.uniform(-10, 4000), float(source.randrange(30))])
+
+
+def points_of(source: random.Random) -> list[tuple[float, float]]:
+    """Make up a polygon."""
+    count = source.choice([0, 1, 2, 3, 4, 4, 5, 17])
+    return [(coordinate(source), coordinate(source)) for _ in range(count)]
+
+
+def polygons_seed(source: random.Random) -> bytes:
+    """Write a `Polygon2DCollection`."""
+    message = Polygon2DCollection()
+    message.header.frame_id = source.choice(TEXTS)
+    message.polygons = [
+        Polygon2D(points=[Point2D(x=x, y=y) for x, y in points_of(source)])
+        for _ in range(source.choice([0, 1, 3, 10]))
+    ]
+    return serialize_message(message)
+
+
+def polygon_seed(source: random.Random) -> bytes:
+    """Write a `PolygonStamped`."""
+    with np.errstate(over='ignore'):
+        points = np.float32(points_of(source)).reshape(-1, 2).tolist()
+    polygon = Polygon(points=[Point32(x=x, y=y) for x, y in points])
+    message = PolygonStamped(polygon=polygon)
+    message.header.frame_id = source.choice(TEXTS)
+    return serialize_message(message)
+
+
+def image_seed(source: random.Random) -> bytes:
+    """Write an `Image`."""
+    encoding = source.choice([*PIXEL_FORMATS, '32FC1', ''])
+    width, height = source.choice([0, 1, 7, 32]), source.choice([0, 1, 5, 16])
+    step = width * source.choice([1, 2, 3, 4, 6]) + source.choice([0, 0, 3])
+    image = Image(
+        width=width, height=height, step=step, encoding=encoding,
+        data=array('B', bytes(step * height)),
+    )
+    return serialize_message(image)
+
+
+def camera_seed(source: random.Random) -> bytes:
+    """Write a `CameraInfo`."""
+    info = CameraInfo(width=source.randrange(5000), height=source.randrange(5000))
+    info.d = [0.0] * source.choice([0, 5])
+    info.binning_x = source.choice([0, 1, 2**32 - 1])
+    return serialize_message(info)
+
+
+def polygon_check(kind: Any) -> Callable[[bytes], str]:
+    """Do with a polygon message what the conversion node does."""
+
+    def check(data: bytes) -> str:
+        try:
+            frame = TypedFrame(data, kind)
+        except Exception:
+            # Whatever the middleware raises: the node counts it as unreadable.
+            return 'refused'
+        boxes = frame.boxes(1.0)
+        extents = half_extents(boxes, [HullRule()])
+        assert np.isfinite(extents).all(axis=0).tolist() == boxes.valid.tolist()
+        for keep_invalid in (False, True):
+            frame.boxes_message(boxes, extents, keep_invalid)
+        xyxy = to_xyxy(boxes.center, extents)
+        frame.crops_message(plan_crops(xyxy, frame.scores(), (640, 480), CropSettings()))
+        return 'read'
+
+    return check
+
+
+def image_check(data: bytes) -> str:
+    """Do with an image what the chip node does."""
+    try:
+        image = read_image(data)
+    except ValueError:
+        return 'refused'
+    try:
+        layout = pixel_format(image.encoding, 'png')
+        view = view_of(image)
+    except ChipError:
+        return 'not to be cut'
+    for wanted in ((0, 0, 4, 4), (-9, 3, 10**9, 10**9)):
+        region = placed(wanted, (view.shape[1], view.shape[0]), layout)
+        if region is not None:
+            cut(view, region, layout)
+    return 'cut'
+
+
+def regions_check(data: bytes) -> str:
+    """Do with a crop plan what the chip node does."""
+    try:
+        _, regions = messages.read_regions(data, FORMS)
+    except Exception:
+        # Whatever the middleware raises: the node counts it as unreadable.
+        return 'refused'
+    layout = PIXEL_FORMATS['rgb8']
+    for region in regions:
+        placed(region, (640, 480), layout)
+    return 'read'
+
+
+def camera_check(data: bytes) -> str:
+    """Do with a camera info what the conversion node does."""
+    try:
+        info = deserialize_message(data, CameraInfo)
+    except Exception:
+        # Whatever the middleware raises: the node counts it as unreadable.
+        return 'refused'
+    width, height = messages.image_size(info)
+    assert width >= 0 <= height
+    return 'read'
+
+
+KINDS = {
+    'polygons': (polygons_seed, polygon_check(Polygon2DCollection)),
+    'polygon': (polygon_seed, polygon_check(PolygonStamped)),
+    'regions': (seed_message, regions_check),
+    'image': (image_seed, image_check),
+    'camera_info': (camera_seed, camera_check),
+}
+
+
+def with_extremes(seed: Callable[[random.Random], bytes]) -> Callable[[random.Random], bytes]:
+    """Write numbers that no detector sends over the doubles of a message."""
+
+    def seeded(source: random.Random) -> bytes:
+        data = bytearray(seed(source))
+        for _ in range(source.choice([0, 0, 1, 3])):
+            at = 4 + 8 * source.randrange(max(len(data) // 8 - 1, 1))
+            data[at : at + 8] = struct.pack('<d', source.choice(EXTREMES))
+        return bytes(data)
+
+    return seeded
+
+
+def main() -> None:
+    """Fuzz."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument('--inputs', type=int, default=200_000, help='of each kind')
+    parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--kinds', nargs='+', choices=KINDS, default=list(KINDS))
+    options = parser.parse_args()
+    for kind in options.kinds:
+        seed, check = KINDS[kind]
+        print(f'{kind}: ', end='', flush=True)
+        run_mutations(options.inputs, options.seed, with_extremes(seed), check)
+
+
+if __name__ == '__main__':
+    main()
