@@ -72,3 +72,20 @@ def test_the_carried_harbour_is_the_one_that_is_drawn() -> None:
     assert (carried.reference == drawn.reference).all()
     assert carried.class_ids == drawn.class_ids
     assert all((a == b).all() for a, b in zip(carried.hulls, drawn.hulls, strict=True))
+
+
+def test_every_source_names_its_license() -> None:
+    files = [*ROOT.glob('*.py'), *ROOT.glob('*/**/*.py'), *(ROOT / 'scripts').iterdir()]
+    hidden = [each for each in files if '/.' in f'/{each.relative_to(ROOT)}']
+    sources = [each for each in files if each not in hidden]
+    assert len(sources) > 100
+    for source in sources:
+        head = source.read_text(encoding='utf-8').splitlines()[:2]
+        assert '# SPDX-License-Identifier: Apache-2.0' in head, source
+
+
+def test_a_flight_machine_installs_what_the_nodes_need_and_no_more() -> None:
+    manifest = ElementTree.parse(ROOT / 'package.xml')
+    python = {each.text for each in manifest.findall('exec_depend') if each.text[:6] == 'python'}
+    assert python == {'python3-numpy', 'python3-pil', 'python3-shapely'}
+    assert manifest.findtext('url').startswith('https://')

@@ -59,14 +59,16 @@ def test_dropped_detections_leave_the_others_in_order(node: Converter) -> None:
         each.id = str(i)
     answer = node.convert(message)
     assert [each.id for each in answer.detections] == [str(i) for i in range(1, 26, 2)]
-    np.testing.assert_array_equal(rows_of(answer), axis_aligned([GOOD] * len(DEFECTS)))
+    # Converted among the bad ones, as the node does: NumPy 1.26 rounds the cosine of a few angles
+    # in another way than that of many.
+    np.testing.assert_array_equal(rows_of(answer), axis_aligned(MIXED)[1::2])
 
 
 def test_kept_detections_are_passed_on_unchanged(node: Converter) -> None:
     node.set({'invalid_policy': 'keep'})
     answer = node.convert(detections(MIXED))
     expected = np.array(MIXED)
-    expected[1::2] = axis_aligned([GOOD])
+    expected[1::2] = axis_aligned(MIXED)[1::2]
     np.testing.assert_array_equal(rows_of(answer), expected)
     assert len(answer.detections[0].results) == 1
 
