@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Any
 
 from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException
 from rclpy.executors import ShutdownException
 from rclpy.executors import SingleThreadedExecutor
@@ -113,8 +114,12 @@ class ExpressExecutor(SingleThreadedExecutor):
         if len(nodes) != 1 or any(nodes[0].guards) or internals.has_tasks(self):
             return False
         express = getattr(nodes[0], 'express_subscriptions', ())
-        self._express = [(internals.pointer(each), each) for each in express]
-        self._wait_set = internals.KeptWaitSet(self, nodes[0])
+        try:
+            self._express = [(internals.pointer(each), each) for each in express]
+            self._wait_set = internals.KeptWaitSet(self, nodes[0])
+        except InvalidHandle:
+            # Another thread is destroying something; the base class knows how to wait all the same.
+            return False
         return True
 
     def _forget_wait_set(self) -> None:

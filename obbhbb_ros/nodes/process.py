@@ -87,7 +87,10 @@ def never_wait_to_log() -> None:
     A pipe that nobody reads any more fills up, and the next line would stop the node for good. The
     lines are on /rosout and in the log file all the same.
     """
-    for number in (1, 2):
+    for number, stream in ((1, sys.stdout), (2, sys.stderr)):
+        if stream is None:
+            # It was closed at start: the number is that of another file by now.
+            continue
         try:
             # Opened anew: the flag belongs to an open file, and this one is others' too.
             ours = os.open(f'/proc/self/fd/{number}', os.O_WRONLY | os.O_APPEND | os.O_NONBLOCK)

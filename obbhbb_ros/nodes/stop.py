@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -49,12 +50,13 @@ class Stop:
     def _listen(self) -> None:
         """Wait for the first signal, ask the process to end, and see to it that it does."""
         signal.sigwait(SIGNALS)
-        deadline = time.monotonic() + self.patience
+        asked = time.monotonic()
         self._requested.set()
         with self._lock:
             if self._wake is not None:
                 self._wake()
-        while (left := deadline - time.monotonic()) > 0.0:
+        # It may have begun meanwhile, and get more time.
+        while (left := asked + self.patience - time.monotonic()) > 0.0:
             signal.sigtimedwait(SIGNALS, left)
         self._leave()
 
@@ -62,8 +64,9 @@ class Stop:
         """Leave from whatever the process is in, and say what that is if it should have ended."""
         if self.patience <= STARTING:
             os._exit(0)
-        os.write(2, f'not ended {self.patience:g} s after a signal, leaving from:\n'.encode())
-        faulthandler.dump_traceback(all_threads=True)
+        with suppress(OSError):
+            os.write(2, f'not ended {self.patience:g} s after a signal, leaving from:\n'.encode())
+            faulthandler.dump_traceback(all_threads=True)
         os._exit(1)
 
 

@@ -429,6 +429,15 @@ def test_a_log_that_nobody_reads_stops_nothing(
     os.close(unread)
 
 
+def test_a_node_without_output_at_all_works(site: Site, tmp_path: Path) -> None:
+    command = f'exec {sys.executable} -m obbhbb_ros.nodes chip_extractor >&- 2>&-'
+    process = subprocess.Popen(['sh', '-c', command])
+    time.sleep(2.0)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    assert process.wait(SOON) == 0
+
+
 def test_a_log_file_is_added_to(site: Site, tmp_path: Path) -> None:
     log = tmp_path / 'log'
     process = NodeProcess('obb_to_hbb', log, parameters={'method': 'none'})
