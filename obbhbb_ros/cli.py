@@ -35,10 +35,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit code.
     """
+    for name in ('stdout', 'stderr'):
+        if getattr(sys, name) is None:
+            # Closed by whoever started the command; what it prints goes nowhere.
+            setattr(sys, name, open(os.devnull, 'w', encoding='utf-8'))  # noqa: SIM115
     given = list(sys.argv[1:] if arguments is None else arguments)
     options = _parser().parse_args(given, argparse.Namespace(given=given))
-    # A command fills tables and ends: looking through them for garbage takes a fifth of its time.
-    gc.disable()
     try:
         code: int = options.run(options)
         # Here rather than when Python ends, where nothing can be said any more.
@@ -47,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _BY_SIGNAL + signal.SIGINT
     except BrokenPipeError:
         # Whoever read the output, `head` for one, has seen enough.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return _BY_SIGNAL + signal.SIGPIPE
     except ImportError as error:
         print(f'obbhbb: {error}; see the extras in the README', file=sys.stderr)
@@ -183,6 +185,8 @@ def _convert(options: argparse.Namespace) -> int:
     from obbhbb_ros.study.convert import convert_file
     from obbhbb_ros.study.progress import note
 
+    # Conversion fills tables: looking through them for garbage takes a fifth of its time.
+    gc.disable()
     tally = convert_file(
         options.source,
         options.target,
@@ -194,6 +198,7 @@ def _convert(options: argparse.Namespace) -> int:
         diagnostics=options.diagnostics,
         report=note,
     )
+    gc.enable()
     print(tally)
     if not tally.readable:
         print(f'obbhbb: nothing to convert in {options.source}', file=sys.stderr)

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import errno
+import glob
 import os
 import secrets
 import shutil
 import tempfile
+from collections.abc import Collection
 from collections.abc import Iterable
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -40,6 +43,7 @@ def replacing(path: Path) -> Iterator[Path]:
     if path.exists() and not path.is_file():
         yield path
         return
+    _check_writable(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f'.{secrets.token_hex(4)}{path.suffix}')
     try:
@@ -52,7 +56,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def replacing_all(path: Path) -> Iterator[Path]:
+def replacing_all(path: Path, stale: Collection[str] = ()) -> Iterator[Path]:
     """
     Give a file to write, as `replacing` does, for formats that put more files beside it.
 
@@ -60,6 +64,8 @@ def replacing_all(path: Path) -> Iterator[Path]:
     ----------
     path : Path
         The file that is wanted; the others have its name with suffixes of their own.
+    stale : collection of str
+        Suffixes of files beside an older file that do not fit a new one, and go with it.
 
     Yields
     ------
@@ -72,13 +78,19 @@ def replacing_all(path: Path) -> Iterator[Path]:
         If one of them cannot be written.
     """
     path = Path(os.path.realpath(path))
+    _check_writable(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix='.', dir=path.parent) as folder:
         wanted = Path(folder) / path.name
         yield wanted
+        made = set(Path(folder).iterdir())
+        # An index of the file that was there before would be believed.
+        for old in path.parent.glob(f'{glob.escape(path.stem)}.*'):
+            if old.suffix.lower() in stale and Path(folder) / old.name not in made:
+                old.unlink()
         # The one that readers open comes last.
-        for made in sorted(Path(folder).iterdir(), key=lambda each: each == wanted):
-            _put_in_place(made, path.with_name(made.name))
+        for each in sorted(made, key=lambda each: each == wanted):
+            _put_in_place(each, path.with_name(each.name))
 
 
 def write_text(path: Path, text: str) -> None:
@@ -90,6 +102,12 @@ def write_pieces(path: Path, pieces: Iterable[str]) -> None:
     """Write a text piece by piece, as `write_text` does; a long one is never in memory at once."""
     with replacing(path) as partial, partial.open('w', encoding='utf-8', newline='') as stream:
         stream.writelines(pieces)
+
+
+def _check_writable(path: Path) -> None:
+    """Refuse to replace a file that may not be written to."""
+    if path.exists() and not os.access(path, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
 
 
 def _put_in_place(made: Path, path: Path) -> None:

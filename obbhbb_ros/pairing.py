@@ -130,7 +130,8 @@ class Pairing:
             self._paired.popitem(last=False)
 
     def clear(self) -> None:
-        """Let everything go."""
+        """Let everything go, and take whatever stamps come next for new."""
+        self._latest = [(0, 0), (0, 0)]
         for kind, waiting in enumerate(self._waiting):
             while waiting:
                 self._let_first_go(kind, Unpaired.CLEARED)

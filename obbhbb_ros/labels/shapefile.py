@@ -34,6 +34,8 @@ from obbhbb_ros.labels.shapes import by_image
 from obbhbb_ros.labels.shapes import enclose
 
 DRIVER = 'ESRI Shapefile'
+# Of the features that were there before.
+INDEXES = ('.qix', '.sbn', '.sbx')
 FILE_CODE = '\x00\x00\x27\x0a'
 MAX_TEXT_BYTES = 254
 
@@ -125,7 +127,7 @@ def write_boxes(path: Path, images: list[ConvertedImage]) -> None:
     frame = geopandas.GeoDataFrame(_columns(properties), geometry=shapely.box(*boxes.T))
     # A file without features has to be told what it is without features of; one engine can.
     options = {'engine': 'pyogrio', 'geometry_type': 'Polygon'} if frame.empty else {}
-    with replacing_all(path) as whole, warnings.catch_warnings():
+    with replacing_all(path, INDEXES) as whole, warnings.catch_warnings():
         # It says that there is no reference system; there is none to write.
         warnings.filterwarnings('ignore', message=".*'crs' was not provided", category=UserWarning)
         try:

@@ -41,6 +41,7 @@ from obbhbb_ros.wire import Forms
 from obbhbb_ros.wire import WireImage
 from obbhbb_ros.wire import read_image
 
+_CHIPS_KEPT = 1000
 _IMAGE, _REGIONS = 0, 1
 _KINDS = ('images', 'crop_plans')
 _REMEDIES = {
@@ -93,8 +94,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         # Found out here rather than at the first chip.
         import PIL.Image  # noqa: F401
 
-        self._chips = self._output(CompressedImage, 'chip/compressed')
-        self._places = self._output(CameraInfo, 'chip/camera_info')
+        # A frame's chips go out at once: those behind a large one would push it out of a short
+        # queue before its last piece is sent.
+        self._chips = self._output(CompressedImage, 'chip/compressed', _CHIPS_KEPT)
+        self._places = self._output(CameraInfo, 'chip/camera_info', _CHIPS_KEPT)
         # A large image travels in many pieces; one that is lost unnoticed would cost all of it. Its
         # pieces fill the middleware's buffers, which would cost the plan beside it.
         self._images_in, self._regions_in = (

@@ -165,12 +165,12 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         """The subscriptions whose messages the executor hands over by the short way, in order."""
         return self._inputs
 
-    def _output(self, message_type: Any, topic: str) -> Any:
+    def _output(self, message_type: Any, topic: str, depth: int = _DEPTH) -> Any:
         """Create a publisher that is silent while the node is not active."""
         publisher = self.create_lifecycle_publisher(
             message_type,
             topic,
-            QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE),
+            QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         self._outputs.append(publisher)

@@ -9,6 +9,7 @@ import stat
 import sys
 from collections.abc import Callable
 from collections.abc import Sequence
+from contextlib import suppress
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -88,19 +89,19 @@ def never_wait_to_log() -> None:
     lines are on /rosout and in the log file all the same.
     """
     for number, stream in ((1, sys.stdout), (2, sys.stderr)):
-        if stream is None:
-            # It was closed at start: the number is that of another file by now.
-            continue
-        try:
+        # Closed at start: the number is that of another file by now. And a file has no reader to
+        # wait for.
+        mode = stat.S_IFREG if stream is None else os.fstat(number).st_mode
+        if stat.S_ISSOCK(mode):
+            # journald's for one; it cannot be opened anew.
+            os.set_blocking(number, False)
+        elif stat.S_ISFIFO(mode) or stat.S_ISCHR(mode):
             # Opened anew: the flag belongs to an open file, and this one is others' too.
-            ours = os.open(f'/proc/self/fd/{number}', os.O_WRONLY | os.O_APPEND | os.O_NONBLOCK)
-        except OSError:
-            # A socket, journald's for one, cannot be opened anew.
-            if stat.S_ISSOCK(os.fstat(number).st_mode):
-                os.set_blocking(number, False)
-        else:
-            os.dup2(ours, number)
-            os.close(ours)
+            flags = os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY
+            with suppress(OSError):
+                ours = os.open(f'/proc/self/fd/{number}', flags)
+                os.dup2(ours, number)
+                os.close(ours)
 
 
 def executor_for(node: Node) -> Executor:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import faulthandler
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -64,9 +65,12 @@ class Stop:
         """Leave from whatever the process is in, and say what that is if it should have ended."""
         if self.patience <= STARTING:
             os._exit(0)
-        with suppress(OSError):
-            os.write(2, f'not ended {self.patience:g} s after a signal, leaving from:\n'.encode())
-            faulthandler.dump_traceback(all_threads=True)
+        # Without standard error its number is that of another file.
+        if sys.stderr is not None:
+            with suppress(OSError, ValueError, RuntimeError):
+                text = f'not ended {self.patience:g} s after a signal, leaving from:\n'
+                os.write(2, text.encode())
+                faulthandler.dump_traceback(2, all_threads=True)
         os._exit(1)
 
 

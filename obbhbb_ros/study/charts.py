@@ -248,7 +248,7 @@ def save(figure: Figure, path: Path) -> None:
         Picture file; the suffix tells the format.
     """
     with _styled(), replacing(path) as whole:
-        figure.savefig(whole, dpi=120)
+        figure.savefig(whole, dpi=120, format=path.suffix[1:] or 'png')
 
 
 def svg(figure: Figure) -> str:

@@ -246,4 +246,4 @@ def draw_costs(
     bars.set_title('cost of the chips')
     bars.legend(loc='upper center', ncols=1, frameon=False)
     with replacing(path) as whole:
-        figure.savefig(whole, dpi=75)
+        figure.savefig(whole, dpi=75, format=path.suffix[1:] or 'png')

@@ -67,7 +67,7 @@ def draw_scene(labels: ImageLabels, boxes: Mapping[str, FloatArray], path: Path)
         figure.set_layout_engine('constrained', rect=(0.0, 0.08, 1.0, 0.92))
         figure.legend(handles=_legend(boxes), loc='lower center', ncol=5)
     with replacing(path) as whole:
-        figure.savefig(whole, dpi=100)
+        figure.savefig(whole, dpi=100, format=path.suffix[1:] or 'png')
 
 
 def _typical(labels: ImageLabels) -> list[int]:

@@ -219,6 +219,17 @@ def test_however_often_and_whenever_signals_come_the_end_is_clean(
         assert not re.search('Traceback|rror|KeyboardInterrupt', process.log)
 
 
+def test_a_node_that_does_not_come_to_its_end_and_has_no_log_leaves_all_the_same() -> None:
+    code = (
+        'import time; from obbhbb_ros.nodes.stop import Stop; stop = Stop(); stop.patience = 1.5; '
+        'time.sleep(60)'
+    )
+    process = subprocess.Popen(['sh', '-c', f'exec {sys.executable} -c "{code}" 2>&-'])
+    time.sleep(1.0)
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(SOON) == 1
+
+
 def test_a_node_that_does_not_come_to_its_end_says_where_it_is(
     site: Site, tmp_path: Path
 ) -> None:
@@ -438,12 +449,10 @@ def test_a_node_without_output_at_all_works(site: Site, tmp_path: Path) -> None:
     assert process.wait(SOON) == 0
 
 
-def test_a_log_file_is_added_to(site: Site, tmp_path: Path) -> None:
-    log = tmp_path / 'log'
-    process = NodeProcess('obb_to_hbb', log, parameters={'method': 'none'})
-    process.wait()
-    before = log.stat().st_size
-    with log.open('ab') as stream:
-        command = [sys.executable, '-m', 'obbhbb_ros.nodes', 'obb_to_hbb', '--ros-args', '-p', 'q']
-        subprocess.run(command, stdout=stream, stderr=stream, check=False)
-    assert log.stat().st_size > before > 0
+def test_a_log_file_is_shared_with_whoever_else_writes_to_it(site: Site, tmp_path: Path) -> None:
+    node = f'{sys.executable} -m obbhbb_ros.nodes obb_to_hbb --ros-args -p q'
+    command = f'(echo before; {node}; echo after) > {tmp_path}/log 2>&1'
+    subprocess.run(['sh', '-c', command], check=True)
+    first, *_, said, last = (tmp_path / 'log').read_text().splitlines()
+    assert (first, last) == ('before', 'after')
+    assert said.startswith('cannot start: ')

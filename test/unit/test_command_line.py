@@ -101,6 +101,41 @@ def test_a_device_is_written_to_as_it_is() -> None:
     assert not Path('/dev/null').is_file()
 
 
+def test_a_picture_without_a_suffix_is_a_png(tmp_path: Path) -> None:
+    assert main(['chips', '--picture', str(tmp_path / 'harbour')]) == 0
+    assert (tmp_path / 'harbour').read_bytes().startswith(b'\x89PNG')
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_the_index_of_an_older_shapefile_goes_with_it(ships: Path) -> None:
+    out = ships.with_name('out.shp')
+    out.write_text('old')
+    for suffix in ('.qix', '.txt'):
+        out.with_suffix(suffix).write_text('old')
+    assert main(['convert', str(ships), str(out)]) == 0
+    made = {each.suffix for each in ships.parent.glob('out.*')}
+    assert made == {'.shp', '.shx', '.dbf', '.cpg', '.txt'}
+
+
+def test_a_file_that_is_read_only_is_not_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / 'file'
+    file.write_text('old')
+    # The tests may run as root, who may write to any file.
+    monkeypatch.setattr(os, 'access', lambda path, mode: False)
+    with pytest.raises(PermissionError), replacing(file):
+        pass
+
+
+@pytest.mark.parametrize('closed', ['>&-', '2>&-', '>&- 2>&-'])
+def test_a_command_without_output_does_its_work(ships: Path, closed: str) -> None:
+    out = ships.with_name('out.csv')
+    command = f'exec {sys.executable} -m obbhbb_ros.cli convert {ships} {out} {closed}'
+    assert subprocess.run(['sh', '-c', command], check=False).returncode == 0
+    assert out.stat().st_size > 1000
+
+
 # Interrupted ----------------------------------------------------------------------------------
 
 LONG = {
