@@ -53,7 +53,7 @@ CHIP_TABLE: tuple[ParameterSpec, ...] = (
         'budget.max_chips', 0, 'At most so many chips a frame; 0 for no bound.', 0, 1_000_000,
     ),
     ParameterSpec(
-        'budget.max_bytes', 0, 'At most so many bytes a frame; 0 for no bound.',
+        'budget.max_bytes', 0, 'Maximum bytes per frame (0: unlimited).',
         0, INT_LIMIT,
     ),
     ParameterSpec(

@@ -131,8 +131,7 @@ TABLE: tuple[ParameterSpec, ...] = (
     ),
     ParameterSpec(
         'crop.max_pixels', 0,
-        'At most so many pixels in the crop regions of a message, filled by falling value; 0 for '
-        'no bound.',
+        'Maximum pixels in the crop regions of a message, most valuable first (0: unlimited).',
         0, INT_LIMIT,
     ),
     ParameterSpec(

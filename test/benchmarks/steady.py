@@ -23,7 +23,7 @@ HEAD = ('node', 'CPU [ms/message]', 'times echo', 'resident [MB]')
 
 
 def measure(asked: Sequence[Asked], data: bytes, rate: float, seconds: float) -> list[list[str]]:
-    """Send at a rate for some time; a row a node."""
+    """Send at a rate for some time; give one row per node."""
     for node in asked:
         node.warm_up(data)
     before = [node.cpu_seconds() for node in asked]
