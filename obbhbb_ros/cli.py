@@ -187,18 +187,20 @@ def _convert(options: argparse.Namespace) -> int:
 
     # Conversion fills tables: looking through them for garbage takes a fifth of its time.
     gc.disable()
-    tally = convert_file(
-        options.source,
-        options.target,
-        HullRule(options.method, options.q, options.f, options.s),
-        Caps(options.max_length, options.max_width),
-        source_format=options.source_format,
-        target_format=options.target_format,
-        image_size=options.image_size,
-        diagnostics=options.diagnostics,
-        report=note,
-    )
-    gc.enable()
+    try:
+        tally = convert_file(
+            options.source,
+            options.target,
+            HullRule(options.method, options.q, options.f, options.s),
+            Caps(options.max_length, options.max_width),
+            source_format=options.source_format,
+            target_format=options.target_format,
+            image_size=options.image_size,
+            diagnostics=options.diagnostics,
+            report=note,
+        )
+    finally:
+        gc.enable()
     print(tally)
     if not tally.readable:
         print(f'obbhbb: nothing to convert in {options.source}', file=sys.stderr)

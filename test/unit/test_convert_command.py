@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import gc
 import subprocess
 import sys
 from pathlib import Path
@@ -245,3 +246,8 @@ def test_defects_are_counted_by_reason() -> None:
     _, tally = convert_labels([labels], HullRule(), report=lines.append)
     assert tally.left_out == {'not finite': 1, 'empty': 2}
     assert len(lines) == 3
+
+
+def test_a_conversion_that_fails_leaves_garbage_collection_on(tmp_path: Path) -> None:
+    assert _run(tmp_path / 'nowhere.csv', tmp_path / 'out.csv') == 1
+    assert gc.isenabled()
