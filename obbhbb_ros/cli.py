@@ -115,7 +115,7 @@ def _chips(options: argparse.Namespace) -> int:
     """Tell what the chips of each method cost."""
     import numpy as np
 
-    from obbhbb_ros.crops import CropSettings
+    from obbhbb_ros.downlink.crops import CropSettings
     from obbhbb_ros.labels import read_labels
     from obbhbb_ros.labels.images import find_images
     from obbhbb_ros.labels.images import load_image

@@ -18,15 +18,18 @@ from sensor_msgs.msg import RegionOfInterest
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.budget import Chip
-from obbhbb_ros.budget import Dropped
-from obbhbb_ros.budget import TokenBucket
-from obbhbb_ros.budget import chips_within_budget
-from obbhbb_ros.chips import ChipError
-from obbhbb_ros.chips import Region
-from obbhbb_ros.chips import format_text
-from obbhbb_ros.chips import pixel_format
-from obbhbb_ros.chips import view_of
+from obbhbb_ros.downlink.budget import Chip
+from obbhbb_ros.downlink.budget import Dropped
+from obbhbb_ros.downlink.budget import TokenBucket
+from obbhbb_ros.downlink.budget import chips_within_budget
+from obbhbb_ros.downlink.chips import ChipError
+from obbhbb_ros.downlink.chips import Region
+from obbhbb_ros.downlink.chips import format_text
+from obbhbb_ros.downlink.chips import pixel_format
+from obbhbb_ros.downlink.chips import view_of
+from obbhbb_ros.downlink.pairing import Pairing
+from obbhbb_ros.downlink.pairing import Stamp
+from obbhbb_ros.downlink.pairing import Unpaired
 from obbhbb_ros.nodes.chip_settings import CHIP_TABLE
 from obbhbb_ros.nodes.chip_settings import IMAGES_KEPT
 from obbhbb_ros.nodes.chip_settings import PLANS_KEPT
@@ -34,9 +37,6 @@ from obbhbb_ros.nodes.chip_settings import ChipSettings
 from obbhbb_ros.nodes.chip_settings import build_chip_settings
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.messages import read_regions
-from obbhbb_ros.pairing import Pairing
-from obbhbb_ros.pairing import Stamp
-from obbhbb_ros.pairing import Unpaired
 from obbhbb_ros.wire import Forms
 from obbhbb_ros.wire import WireImage
 from obbhbb_ros.wire import read_image

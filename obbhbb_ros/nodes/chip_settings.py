@@ -7,15 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from obbhbb_ros.budget import BudgetSettings
-from obbhbb_ros.chips import CODECS
-from obbhbb_ros.chips import CodecSettings
+from obbhbb_ros.downlink.budget import BudgetSettings
+from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.downlink.chips import CodecSettings
+from obbhbb_ros.downlink.pairing import PairingLimits
 from obbhbb_ros.nodes.managed import AUTOSTART
 from obbhbb_ros.nodes.parameters import INT_LIMIT
 from obbhbb_ros.nodes.parameters import LOCK
 from obbhbb_ros.nodes.parameters import ParameterSpec
 from obbhbb_ros.nodes.parameters import Values
-from obbhbb_ros.pairing import PairingLimits
 
 _MOST_BYTES = 1e12
 

@@ -20,7 +20,7 @@ from vision_msgs.msg import Detection2DArray
 from obbhbb_ros.boxes import FEW
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
-from obbhbb_ros.crops import CropPlan
+from obbhbb_ros.downlink.crops import CropPlan
 from obbhbb_ros.nodes import messages
 from obbhbb_ros.wire import Detections
 from obbhbb_ros.wire import Forms

@@ -17,8 +17,8 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
-from obbhbb_ros.chips import Region
-from obbhbb_ros.crops import CropPlan
+from obbhbb_ros.downlink.chips import Region
+from obbhbb_ros.downlink.crops import CropPlan
 from obbhbb_ros.nodes.settings import DETECTIONS
 from obbhbb_ros.nodes.settings import POLYGON
 from obbhbb_ros.nodes.settings import POLYGONS

@@ -19,8 +19,8 @@ from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import few_half_extents
 from obbhbb_ros.converter import half_extents
 from obbhbb_ros.converter import to_xyxy
-from obbhbb_ros.crops import CropPlan
-from obbhbb_ros.crops import plan_crops
+from obbhbb_ros.downlink.crops import CropPlan
+from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.nodes import messages
 from obbhbb_ros.nodes.frames import Frame
 from obbhbb_ros.nodes.frames import TypedFrame

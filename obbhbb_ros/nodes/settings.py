@@ -18,7 +18,7 @@ import numpy as np
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.converter import Caps
 from obbhbb_ros.converter import HullRule
-from obbhbb_ros.crops import CropSettings
+from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.methods import ONBOARD_METHODS
 from obbhbb_ros.nodes.managed import AUTOSTART
 from obbhbb_ros.nodes.parameters import INT_LIMIT

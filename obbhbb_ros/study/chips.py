@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
-from obbhbb_ros.chips import CODECS
-from obbhbb_ros.chips import CodecSettings
-from obbhbb_ros.chips import encode
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_by_rule
-from obbhbb_ros.crops import CropSettings
-from obbhbb_ros.crops import plan_crops
+from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.downlink.chips import CodecSettings
+from obbhbb_ros.downlink.chips import encode
+from obbhbb_ros.downlink.crops import CropSettings
+from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.files import replacing
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.study.plots import COLORS

@@ -17,14 +17,14 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
 
 from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.chips import CodecSettings
-from obbhbb_ros.chips import cut
-from obbhbb_ros.chips import encode
-from obbhbb_ros.chips import pixel_format
-from obbhbb_ros.chips import placed
-from obbhbb_ros.chips import view_of
-from obbhbb_ros.crops import CropSettings
-from obbhbb_ros.crops import plan_crops
+from obbhbb_ros.downlink.chips import CodecSettings
+from obbhbb_ros.downlink.chips import cut
+from obbhbb_ros.downlink.chips import encode
+from obbhbb_ros.downlink.chips import pixel_format
+from obbhbb_ros.downlink.chips import placed
+from obbhbb_ros.downlink.chips import view_of
+from obbhbb_ros.downlink.crops import CropSettings
+from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.study.summary import text_table
 from obbhbb_ros.wire import read_image
 

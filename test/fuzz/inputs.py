@@ -33,17 +33,17 @@ from wire import TEXTS
 from wire import run_mutations
 from wire import seed_message
 
-from obbhbb_ros.chips import PIXEL_FORMATS
-from obbhbb_ros.chips import ChipError
-from obbhbb_ros.chips import cut
-from obbhbb_ros.chips import pixel_format
-from obbhbb_ros.chips import placed
-from obbhbb_ros.chips import view_of
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import half_extents
 from obbhbb_ros.converter import to_xyxy
-from obbhbb_ros.crops import CropSettings
-from obbhbb_ros.crops import plan_crops
+from obbhbb_ros.downlink.chips import PIXEL_FORMATS
+from obbhbb_ros.downlink.chips import ChipError
+from obbhbb_ros.downlink.chips import cut
+from obbhbb_ros.downlink.chips import pixel_format
+from obbhbb_ros.downlink.chips import placed
+from obbhbb_ros.downlink.chips import view_of
+from obbhbb_ros.downlink.crops import CropSettings
+from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.nodes import messages
 from obbhbb_ros.nodes.frames import TypedFrame
 from obbhbb_ros.wire import read_image

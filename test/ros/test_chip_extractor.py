@@ -35,9 +35,9 @@ from std_msgs.msg import Header
 from test_player import run_player
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.chips import PIXEL_FORMATS
-from obbhbb_ros.chips import CodecSettings
-from obbhbb_ros.chips import encode
+from obbhbb_ros.downlink.chips import PIXEL_FORMATS
+from obbhbb_ros.downlink.chips import CodecSettings
+from obbhbb_ros.downlink.chips import encode
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.nodes.play_detections import image_message
 from obbhbb_ros.study.harbour import harbour

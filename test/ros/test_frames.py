@@ -22,8 +22,8 @@ from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import few_half_extents
 from obbhbb_ros.converter import half_extents
 from obbhbb_ros.converter import to_xyxy
-from obbhbb_ros.crops import CropSettings
-from obbhbb_ros.crops import plan_crops
+from obbhbb_ros.downlink.crops import CropSettings
+from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.nodes.frames import TypedFrame
 from obbhbb_ros.nodes.frames import WireFrame

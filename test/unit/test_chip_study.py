@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from obbhbb_ros.chips import encode
 from obbhbb_ros.cli import main
-from obbhbb_ros.crops import CropSettings
+from obbhbb_ros.downlink.chips import encode
+from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.labels import image_size
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels

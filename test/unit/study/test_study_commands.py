@@ -106,7 +106,7 @@ def test_without_refinement_a_setting_of_the_grid_is_written(tmp_path) -> None:
     arguments = ['--method', 'shape_aware', '--no-refine', '--folds', '0', '-o', str(path)]
     assert main(['calibrate', '--synthetic', *arguments]) == 0
     values = yaml.safe_load(path.read_text(encoding='utf-8'))['/**']['ros__parameters']
-    # The paper reports 2.2 / 0.9 / 1.0; see docs/reproduction.md.
+    # The paper reports 2.2 / 0.9 / 1.0; see doc/reproduction.md.
     assert values == {'method': 'shape_aware', 'q': 2.6, 'f': 0.9, 's': 1.1}
 
 

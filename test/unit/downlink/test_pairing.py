@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from obbhbb_ros.pairing import Pairing
-from obbhbb_ros.pairing import PairingLimits
-from obbhbb_ros.pairing import Unpaired
+from obbhbb_ros.downlink.pairing import Pairing
+from obbhbb_ros.downlink.pairing import PairingLimits
+from obbhbb_ros.downlink.pairing import Unpaired
 
 LIMITS = PairingLimits((2, 3), 1.0)
 

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from obbhbb_ros.budget import BudgetSettings
-from obbhbb_ros.budget import Dropped
-from obbhbb_ros.budget import TokenBucket
-from obbhbb_ros.budget import chips_within_budget
-from obbhbb_ros.chips import PIXEL_FORMATS
-from obbhbb_ros.chips import CodecSettings
+from obbhbb_ros.downlink.budget import BudgetSettings
+from obbhbb_ros.downlink.budget import Dropped
+from obbhbb_ros.downlink.budget import TokenBucket
+from obbhbb_ros.downlink.budget import chips_within_budget
+from obbhbb_ros.downlink.chips import PIXEL_FORMATS
+from obbhbb_ros.downlink.chips import CodecSettings
 
 PNG = CodecSettings('png')
 GREY = PIXEL_FORMATS['mono8']

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.merging import MergeRules
-from obbhbb_ros.merging import Pixels
-from obbhbb_ros.merging import merge_regions
+from obbhbb_ros.downlink.merging import MergeRules
+from obbhbb_ros.downlink.merging import Pixels
+from obbhbb_ros.downlink.merging import merge_regions
 
 _FARTHEST = 2.0**52
 

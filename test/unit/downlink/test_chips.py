@@ -9,16 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from obbhbb_ros.chips import CODECS
-from obbhbb_ros.chips import PIXEL_FORMATS
-from obbhbb_ros.chips import ChipError
-from obbhbb_ros.chips import CodecSettings
-from obbhbb_ros.chips import cut
-from obbhbb_ros.chips import encode
-from obbhbb_ros.chips import format_text
-from obbhbb_ros.chips import pixel_format
-from obbhbb_ros.chips import placed
-from obbhbb_ros.chips import view_of
+from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.downlink.chips import PIXEL_FORMATS
+from obbhbb_ros.downlink.chips import ChipError
+from obbhbb_ros.downlink.chips import CodecSettings
+from obbhbb_ros.downlink.chips import cut
+from obbhbb_ros.downlink.chips import encode
+from obbhbb_ros.downlink.chips import format_text
+from obbhbb_ros.downlink.chips import pixel_format
+from obbhbb_ros.downlink.chips import placed
+from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.wire import WireImage
 
 EXACT = [

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from obbhbb_ros.crops import CropSettings
-from obbhbb_ros.crops import LeftOut
-from obbhbb_ros.crops import plan_crops
+from obbhbb_ros.downlink.crops import CropSettings
+from obbhbb_ros.downlink.crops import LeftOut
+from obbhbb_ros.downlink.crops import plan_crops
 
 IMAGE = (640, 480)
 COORDINATE = st.one_of(st.floats(-50.0, 700.0), st.floats(allow_nan=False, allow_infinity=False))

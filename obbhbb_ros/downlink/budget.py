@@ -18,12 +18,12 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from obbhbb_ros.chips import CodecSettings
-from obbhbb_ros.chips import PixelFormat
-from obbhbb_ros.chips import Region
-from obbhbb_ros.chips import cut
-from obbhbb_ros.chips import encode
-from obbhbb_ros.chips import placed
+from obbhbb_ros.downlink.chips import CodecSettings
+from obbhbb_ros.downlink.chips import PixelFormat
+from obbhbb_ros.downlink.chips import Region
+from obbhbb_ros.downlink.chips import cut
+from obbhbb_ros.downlink.chips import encode
+from obbhbb_ros.downlink.chips import placed
 
 
 class Dropped(str, Enum):
