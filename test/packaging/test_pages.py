@@ -2,18 +2,22 @@
 """What the pages show exists: links, files, commands, options, topics, reasons in diagnostics."""
 
 import argparse
+import importlib
 import importlib.util
 import re
 import shlex
 import sys
+from collections.abc import Iterator
 from importlib.metadata import entry_points
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 from unittest.mock import MagicMock
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 
 from obbhbb_ros import cli
 from obbhbb_ros.boxes import Defect
@@ -289,6 +293,54 @@ def test_a_script_or_module_that_is_run_exists(words: list[str]) -> None:
         assert importlib.util.find_spec(words[2])
     else:
         assert (ROOT / words[1]).is_file()
+
+
+# Code and parameter files ---------------------------------------------------------------------
+
+def blocks(language: str, *left_out: str) -> pytest.MarkDecorator:
+    """Give the test every code block of a language."""
+    found = [
+        (page, block) for page in PAGES if page.stem not in left_out
+        for kind, block in FENCE.findall(text_of(page)) if kind == language
+    ]
+    assert found, language
+    return pytest.mark.parametrize(
+        'block', [block for _, block in found], ids=[name_of(page) for page, _ in found]
+    )
+
+
+# The page of the figures needs data that the package does not have.
+@blocks('python', 'reproduction')
+def test_an_example_in_python_runs(block: str) -> None:
+    exec(block, {})
+
+
+@pytest.mark.parametrize('name', named_in(text_of(ROOT / 'doc' / 'python.md'), '| name |'))
+def test_a_name_of_the_python_api_exists_and_is_described(name: str) -> None:
+    module, _, attribute = name.rpartition('.')
+    assert getattr(importlib.import_module(module), attribute).__doc__
+
+
+@blocks('yaml')
+def test_a_parameter_file_that_is_shown_can_be_used(block: str) -> None:
+    ((node, content),) = yaml.safe_load(block).items()
+    if node == 'lifecycle_manager':
+        return
+    given = dict(flat(content['ros__parameters']))
+    classes = '|'.join(given.get('class_ids', ['none']))
+    specs = {spec.name: spec for table in NODE_TABLES.values() for spec in table}
+    for name, value in given.items():
+        spec = specs[re.sub(rf'^classes\.({classes})\.', 'classes.<id>.', name)]
+        assert type(value) is type(spec.default)
+        spec.check(value)
+
+
+def flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            yield from flat(value, f'{prefix}{name}.')
+        else:
+            yield prefix + name, value
 
 
 # Nodes ----------------------------------------------------------------------------------------
