@@ -12,9 +12,6 @@ from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Sequence
 from enum import IntEnum
-from math import cos
-from math import isfinite
-from math import sin
 from typing import Any
 from typing import TypeAlias
 
@@ -29,11 +26,6 @@ FloatArray: TypeAlias = NDArray[np.float64]
 # Boxes worked on at a time: the temporaries of so many stay in a core's own cache.
 BLOCK = 8192
 
-
-# Fewer boxes than this are seen to one by one in less time than NumPy takes.
-FEW = 16
-# Of corners, which cost more steps each, even fewer.
-_FEW_CORNERS = 4
 
 # Of numbers up to here no product overflows; of sides from here on no area vanishes.
 LARGE = 1e150
@@ -81,17 +73,17 @@ class OrientedBoxes:
         Half of two adjacent edges as vectors, pixels.
     defects : ndarray of uint8, shape (N,)
         A `Defect` for each box.
-    tame : bool
+    regular : bool
         Whether it is known that no box has a defect and that no number is so large or so small
         that a rule could overflow: then nobody needs to look for it.
 
     Attributes
     ----------
-    center, first, second, defects, tame
+    center, first, second, defects, regular
         As given.
     """
 
-    __slots__ = ('_axes', 'center', 'defects', 'first', 'second', 'tame')
+    __slots__ = ('_axes', 'center', 'defects', 'first', 'regular', 'second')
 
     def __init__(
         self,
@@ -99,13 +91,13 @@ class OrientedBoxes:
         first: FloatArray,
         second: FloatArray,
         defects: NDArray[np.uint8],
-        tame: bool = False,
+        regular: bool = False,
     ) -> None:
         self.center = center
         self.first = first
         self.second = second
         self.defects = defects
-        self.tame = tame
+        self.regular = regular
         self._axes: tuple[FloatArray, FloatArray] | None = None
 
     @classmethod
@@ -226,7 +218,7 @@ class OrientedBoxes:
         """
         return OrientedBoxes(
             self.center[:, rows], self.first[:, rows], self.second[:, rows], self.defects[rows],
-            self.tame,
+            self.regular,
         )
 
     @property
@@ -243,12 +235,7 @@ class OrientedBoxes:
         """Sort the half edges by length, once."""
         if self._axes is None:
             with np.errstate(over='ignore'):
-                swap = (self.second**2).sum(axis=0) > (self.first**2).sum(axis=0)
-            if swap.any():
-                first, second = self.first, self.second
-                self._axes = np.where(swap, second, first), np.where(swap, first, second)
-            else:
-                self._axes = self.first, self.second
+                self._axes = longer_first(self.first, self.second)
         return self._axes
 
     @property
@@ -281,6 +268,26 @@ class OrientedBoxes:
         return np.ascontiguousarray(stacked.transpose(2, 0, 1))
 
 
+def longer_first(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """
+    Sort pairs of vectors by length.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (2, N)
+        The vectors of each pair; the squares of their lengths must be finite.
+
+    Returns
+    -------
+    longer, shorter : ndarray, shape (2, N)
+        The first ones where both are of one length.
+    """
+    swap = second[0] * second[0] + second[1] * second[1] > first[0] * first[0] + first[1] * first[1]
+    if not swap.any():
+        return first, second
+    return np.where(swap, second, first), np.where(swap, first, second)
+
+
 def _in_blocks(
     array: FloatArray, boxes_of: Callable[[FloatArray], OrientedBoxes]
 ) -> OrientedBoxes:
@@ -293,51 +300,23 @@ def _in_blocks(
         block = boxes_of(array[rows])
         center[:, rows], first[:, rows], second[:, rows] = block.center, block.first, block.second
         boxes.defects[rows] = block.defects
-        boxes.tame &= block.tame
+        boxes.regular &= block.regular
     return boxes
 
 
 def _boxes_of_corners(corners: FloatArray) -> OrientedBoxes:
     """Make boxes of corners, (n, 4, 2)."""
-    if len(corners) < _FEW_CORNERS:
-        few = _few_corners(corners)
-        if few is not None:
-            return few
     # Transposed and quartered at once: all that follows runs along contiguous memory.
     quarters = np.multiply(corners.transpose(1, 2, 0), 0.25, order='C')
     if _none_large(quarters):
         boxes = _lay_corners(quarters)
         if np.minimum.reduce(_areas(boxes), initial=np.inf) > SMALL**2:
-            boxes.tame = True
+            boxes.regular = True
             return boxes
     with np.errstate(invalid='ignore', over='ignore'):
         boxes = _lay_corners(quarters)
         _mark_unusable(boxes)
         return boxes
-
-
-def _few_corners(corners: FloatArray) -> OrientedBoxes | None:
-    """Make so few boxes that NumPy would take longer; None if one is out of the ordinary."""
-    numbers = []
-    for corner in corners.tolist():
-        along_x, along_y = (_along_axis(*axis) for axis in zip(*corner, strict=True))
-        area = abs(along_x[1] * along_y[2] - along_y[1] * along_x[2])
-        # Where an area is finite so are the edges, and NaN is nowhere between.
-        if not (
-            area > SMALL**2 and max(map(abs, along_x)) < LARGE and max(map(abs, along_y)) < LARGE
-        ):
-            return None
-        numbers.append((along_x, along_y))
-    center, first, second = np.array(numbers, np.float64).reshape(-1, 2, 3).transpose(2, 1, 0)
-    return OrientedBoxes(center, first, second, np.zeros(len(numbers), np.uint8), True)
-
-
-def _along_axis(c0: float, c1: float, c2: float, c3: float) -> tuple[float, float, float]:
-    """Give centre and half edges of one box along one axis, as `_lay_corners` does."""
-    diagonal, other = 0.25 * c2 - 0.25 * c0, 0.25 * c3 - 0.25 * c1
-    first, second = diagonal - other, diagonal + other
-    middle = 0.25 * c2 + 0.25 * c0 if (first < 0.0) == (second < 0.0) else 0.25 * c3 + 0.25 * c1
-    return middle * 2.0, first, second
 
 
 def _boxes_of_xywhr(xywhr: FloatArray) -> OrientedBoxes:
@@ -346,7 +325,7 @@ def _boxes_of_xywhr(xywhr: FloatArray) -> OrientedBoxes:
     sizes = columns[2:4]
     if _none_large(columns) and np.minimum.reduce(sizes, axis=None, initial=np.inf) > SMALL:
         boxes = _lay_columns(columns)
-        boxes.tame = True
+        boxes.regular = True
         return boxes
     with np.errstate(invalid='ignore', over='ignore'):
         boxes = _lay_columns(columns)
@@ -370,22 +349,13 @@ def _lay_corners(quarters: FloatArray) -> OrientedBoxes:
 def _lay_columns(columns: FloatArray) -> OrientedBoxes:
     """Lay boxes of x, y, width, height and theta, (5, n)."""
     half = columns[2:4] * 0.5
-    direction = _directions(columns[4])
-    first, second = direction * half[0], direction[::-1] * half[1]
-    np.negative(second[0], out=second[0])
-    return OrientedBoxes(columns[:2].copy(), first, second, np.zeros(half.shape[1], np.uint8))
-
-
-def _directions(theta: FloatArray) -> FloatArray:
-    """Give cosine and sine of angles, (2, n)."""
-    if len(theta) < FEW and isfinite(sum(theta.tolist())):
-        # Not for speed: what `converter.few_half_extents` computes has to come out here as well.
-        angles = theta.tolist()
-        return np.array([[cos(angle) for angle in angles], [sin(angle) for angle in angles]])
+    theta = columns[4]
     direction = np.empty((2, len(theta)))
     np.cos(theta, out=direction[0])
     np.sin(theta, out=direction[1])
-    return direction
+    first, second = direction * half[0], direction[::-1] * half[1]
+    np.negative(second[0], out=second[0])
+    return OrientedBoxes(columns[:2].copy(), first, second, np.zeros(half.shape[1], np.uint8))
 
 
 def _areas(boxes: OrientedBoxes) -> FloatArray:

@@ -6,22 +6,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import BLOCK
-from obbhbb_ros.boxes import FEW
-from obbhbb_ros.boxes import LARGE
-from obbhbb_ros.boxes import SMALL
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.boxes import blocks
+from obbhbb_ros.boxes import longer_first
 from obbhbb_ros.methods import METHODS
-from obbhbb_ros.methods import Method
 from obbhbb_ros.methods import get_method
 
+Q_RANGE = (1.0, math.inf)
+# The lower ends are excluded.
 F_RANGE = S_RANGE = (0.0, 2.0)
 
 
@@ -55,12 +53,16 @@ class HullRule:
     def __post_init__(self) -> None:
         """Check every value."""
         get_method(self.method)
-        if not self.q >= 1.0:
-            raise ValueError(f'q must be in [1, inf], not {self.q}')
+        if not Q_RANGE[0] <= self.q <= Q_RANGE[1]:
+            raise ValueError(f'q must be in [{Q_RANGE[0]:g}, {Q_RANGE[1]:g}], not {self.q}')
         for name, (low, high) in (('f', F_RANGE), ('s', S_RANGE)):
             value = getattr(self, name)
             if not low < value <= high:
                 raise ValueError(f'{name} must be in ({low:g}, {high:g}], not {value}')
+
+
+PAPER_RULE = HullRule('shape_aware', q=2.2, f=0.9, s=1.0)
+"""The published rule with the parameters that the paper found best."""
 
 
 @dataclass(frozen=True)
@@ -133,10 +135,10 @@ class Conversion:
 
 def convert(
     boxes: OrientedBoxes,
-    method: str = 'superellipse',
-    q: float = 3.0,
-    f: float = 1.0,
-    s: float = 1.0,
+    method: str = HullRule.method,
+    q: float = HullRule.q,
+    f: float = HullRule.f,
+    s: float = HullRule.s,
     max_length: float | None = None,
     max_width: float | None = None,
 ) -> FloatArray:
@@ -196,7 +198,7 @@ def convert_by_rule(boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS) 
     ndarray of float64, shape (N, 4)
         As `convert`.
     """
-    if boxes.tame:
+    if boxes.regular:
         return _all_xyxy(boxes, rule, caps)
     with np.errstate(invalid='ignore', over='ignore'):
         return _without_overflown(_all_xyxy(boxes, rule, caps))
@@ -227,7 +229,7 @@ def half_extents(
     ndarray of float64, shape (2, N)
         Half-extents, pixels; NaN columns where the box cannot be converted.
     """
-    if boxes.tame:
+    if boxes.regular:
         return _all_extents(boxes, rules, rule_of, caps)
     with np.errstate(invalid='ignore', over='ignore'):
         extents = _all_extents(boxes, rules, rule_of, caps)
@@ -236,55 +238,6 @@ def half_extents(
         if not math.isfinite(np.add.reduce(farthest, axis=None)):
             extents[:, ~np.isfinite(farthest).all(axis=0)] = np.nan
     return extents
-
-
-def few_half_extents(
-    rows: Sequence[Sequence[float]], rule: HullRule
-) -> list[tuple[float, float]] | None:
-    """
-    Compute the half-extents of so few boxes that calls of NumPy would take longer.
-
-    Parameters
-    ----------
-    rows : sequence of N sequences of five float
-        Boxes as `OrientedBoxes.from_xywhr` takes them.
-    rule : HullRule
-        The rule for all.
-
-    Returns
-    -------
-    list of N tuples of two float, or None
-        Half-extents along x and y, pixels; None if `half_extents` has to do it, as a box is out of
-        the ordinary or the rule takes both axes together.
-    """
-    method = METHODS[rule.method]
-    if not method.by_axis:
-        return None
-    extent: Any = method.half_extents
-    q, f, s = (rule.q, rule.f, rule.s) if method.tunable else (rule.q, 1.0, 1.0)
-    found = []
-    for x, y, width, height, theta in rows:
-        # NaN is nowhere between.
-        if not (
-            SMALL < width < LARGE and SMALL < height < LARGE
-            and -LARGE < x < LARGE and -LARGE < y < LARGE and -LARGE < theta < LARGE
-        ):
-            return None
-        cos, sin = abs(math.cos(theta)), abs(math.sin(theta))
-        first = cos * (width * 0.5), sin * (width * 0.5)
-        second = sin * (height * 0.5), cos * (height * 0.5)
-        if _squared(second) > _squared(first):
-            first, second = second, first
-        found.append((
-            extent(first[0], second[0] * f, q) * s, extent(first[1], second[1] * f, q) * s
-        ))
-    return found
-
-
-def _squared(edge: tuple[float, float]) -> float:
-    """Square the length of an edge."""
-    x, y = edge
-    return x * x + y * y
 
 
 def convert_with_diagnostics(
@@ -384,20 +337,10 @@ def _block_extents(
     """Compute the half-extents of some rows, (2, n)."""
     method = METHODS[rule.method]
     along, across = _reaches(boxes, rule, rows)
-    if method.by_axis and boxes.tame and along.shape[1] < FEW:
-        extents = _few_extents(method, along, across, rule.q)
-    else:
-        extents = method.half_extents(along, across, rule.q)
+    extents = method.half_extents(along, across, rule.q)
     if method.tunable and rule.s != 1.0:
         extents *= rule.s
     return _capped(extents, caps) if caps.given else extents
-
-
-def _few_extents(method: Method, along: FloatArray, across: FloatArray, q: float) -> FloatArray:
-    """Compute half-extents number by number, as `few_half_extents` does."""
-    extent: Any = method.half_extents
-    pairs = zip(along.ravel().tolist(), across.ravel().tolist(), strict=True)
-    return np.array([extent(one, other, q) for one, other in pairs]).reshape(2, -1)
 
 
 def _reaches(
@@ -406,9 +349,10 @@ def _reaches(
     """Project the hull's half axes, the half-width scaled by the fullness."""
     method = METHODS[rule.method]
     f = rule.f if method.tunable else 1.0
+    along, across = np.abs(boxes.first[:, rows]), np.abs(boxes.second[:, rows])
     if method.symmetric and f == 1.0:
-        return np.abs(boxes.first[:, rows]), np.abs(boxes.second[:, rows])
-    along, across = np.abs(boxes.long_axis[:, rows]), np.abs(boxes.short_axis[:, rows])
+        return along, across
+    along, across = longer_first(along, across)
     return along, (across if f == 1.0 else across * f)
 
 

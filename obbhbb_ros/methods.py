@@ -20,20 +20,15 @@ Equation, table and algorithm numbers are those of the paper, "Shape-Aware Orien
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TypeAlias
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
-# Of many boxes along both axes, (2, N), or of one box along one.
-Reach = TypeVar('Reach', float, FloatArray)
-_Array = np.ndarray
 Rule: TypeAlias = Callable[[FloatArray, FloatArray, float], FloatArray]
 
 # Keeps 0 / 0 from happening where a hull has no extent at all.
@@ -42,23 +37,7 @@ _TINY = float(np.finfo(np.float64).tiny)
 _AS_GOOD_AS_INFINITE = 1e100
 
 
-def maximum(one: Reach, other: Reach) -> Reach:
-    """Give the larger of two numbers, or of each two."""
-    # On plain floats NumPy takes ten times as long.
-    return np.maximum(one, other) if isinstance(one, _Array) else max(one, other)
-
-
-def minimum(one: Reach, other: Reach) -> Reach:
-    """Give the smaller of two numbers, or of each two."""
-    return np.minimum(one, other) if isinstance(one, _Array) else min(one, other)
-
-
-def root(number: Reach) -> Reach:
-    """Take the square root of a number, or of each."""
-    return np.sqrt(number) if isinstance(number, np.ndarray) else math.sqrt(number)
-
-
-def superellipse(along: Reach, across: Reach, q: float) -> Reach:
+def superellipse(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
     """
     Project the superellipse hull of Eq. 1 exactly.
 
@@ -67,27 +46,26 @@ def superellipse(along: Reach, across: Reach, q: float) -> Reach:
 
     Parameters
     ----------
-    along, across : ndarray, shape (2, N), or float
-        Reach of the half-length and of the half-width along x and y, pixels, not negative; or of
-        one box along one axis.
+    along, across : ndarray, shape (2, N)
+        Reach of the half-length and of the half-width along x and y, pixels, not negative.
     q : float
         Shape exponent in [1, inf]: 1 is a rhombus, 2 an ellipse, infinity the rectangle.
 
     Returns
     -------
-    ndarray, shape (2, N), or float
+    ndarray, shape (2, N)
         Half-extents along x and y, pixels.
     """
     if q == 1.0:
-        return maximum(along, across)
+        return np.maximum(along, across)
     if q == 2.0:
         return gaussian(along, across)
     p = q / (q - 1.0) if q < np.inf else 1.0
     if p == 1.0:
         return along + across
     # The larger term is factored out, so that no power overflows whatever p is.
-    larger = maximum(along, across)
-    ratio = minimum(along, across)
+    larger = np.maximum(along, across)
+    ratio = np.minimum(along, across)
     ratio /= larger + _TINY
     ratio **= p
     ratio += 1.0
@@ -119,25 +97,31 @@ def shape_aware(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
         return np.maximum(along, across)
     if not q < _AS_GOOD_AS_INFINITE:
         return along + across
-    t = shape_aware_contact(along, across, q)
     # At the optimum q*b*t^(q-1) = a, hence b*t^q = a*t/q. A bow that touches (t = 1) is b*0.
-    return np.where(along < q * across, across + along * t * (1.0 - 1.0 / q), along)
+    limit = q * across
+    t = np.minimum(along, limit)
+    t /= np.maximum(limit, _TINY)
+    t **= 1.0 / (q - 1.0)
+    t *= along
+    t *= 1.0 - 1.0 / q
+    t += across
+    return np.where(along < limit, t, along)
 
 
-def outer(along: Reach, across: Reach, q: float = np.inf) -> Reach:
+def outer(along: FloatArray, across: FloatArray, q: float = np.inf) -> FloatArray:
     """Enclose the four corners, ``along + across``; `q` is ignored."""
     return along + across
 
 
-def midpoint(along: Reach, across: Reach, q: float = 1.0) -> Reach:
+def midpoint(along: FloatArray, across: FloatArray, q: float = 1.0) -> FloatArray:
     """Enclose the four edge midpoints, ``max(along, across)`` (Table 1, "M"); `q` is ignored."""
-    return maximum(along, across)
+    return np.maximum(along, across)
 
 
-def gaussian(along: Reach, across: Reach, q: float = 2.0) -> Reach:
+def gaussian(along: FloatArray, across: FloatArray, q: float = 2.0) -> FloatArray:
     """Marginalise the box's Gaussian on each axis: the ellipse's extent; `q` is ignored."""
     # A third of the time of np.hypot, which guards against squares that overflow.
-    return root(along * along + across * across)
+    return np.sqrt(along * along + across * across)
 
 
 def area_equivalent(along: FloatArray, across: FloatArray, q: float = np.inf) -> FloatArray:
@@ -236,9 +220,6 @@ class Method:
         ``(along, across, q) -> t``, all (2, N); NaN where the rule has no such thing.
     tunable : bool
         Whether `q`, `f` and `s` apply; the others are used with f = s = 1.
-    by_axis : bool
-        Whether what a box reaches along one axis does not depend on the other: then
-        `half_extents` takes plain floats as well, those of one box and axis.
     symmetric : bool
         Whether `along` and `across` may change places, so that nobody needs to know which side
         is the longer one.
@@ -252,7 +233,6 @@ class Method:
     half_extents: Rule
     contact: Rule
     tunable: bool
-    by_axis: bool
     symmetric: bool
     onboard: bool
     summary: str
@@ -262,37 +242,44 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType({
     method.name: method
     for method in (
         Method(
-            'superellipse', superellipse, superellipse_contact, True, True, True, True,
-            'exact projection of the superellipse hull',
+            'superellipse', superellipse, superellipse_contact,
+            tunable=True, symmetric=True, onboard=True,
+            summary='exact projection of the superellipse hull',
         ),
         Method(
-            'shape_aware', shape_aware, shape_aware_contact, True, False, False, True,
-            'the published rule, Algorithm 1',
+            'shape_aware', shape_aware, shape_aware_contact,
+            tunable=True, symmetric=False, onboard=True,
+            summary='the published rule, Algorithm 1',
         ),
         Method(
-            'outer', outer, _contact_at(np.inf), False, True, True, True,
-            'minimum and maximum of the corners',
+            'outer', outer, _contact_at(np.inf),
+            tunable=False, symmetric=True, onboard=True,
+            summary='minimum and maximum of the corners',
         ),
         Method(
-            'midpoint', midpoint, _contact_at(1.0), False, True, True, True,
-            'minimum and maximum of the edge midpoints',
+            'midpoint', midpoint, _contact_at(1.0),
+            tunable=False, symmetric=True, onboard=True,
+            summary='minimum and maximum of the edge midpoints',
         ),
         Method(
-            'gaussian', gaussian, _contact_at(2.0), False, True, True, True,
-            'Gaussian of the box, marginalised',
+            'gaussian', gaussian, _contact_at(2.0),
+            tunable=False, symmetric=True, onboard=True,
+            summary='Gaussian of the box, marginalised',
         ),
         Method(
-            'area_equivalent', area_equivalent, _no_contact, False, False, True, True,
-            'outer box scaled to the area of the oriented box',
+            'area_equivalent', area_equivalent, _no_contact,
+            tunable=False, symmetric=True, onboard=True,
+            summary='outer box scaled to the area of the oriented box',
         ),
         Method(
-            'gaussian_published', gaussian_published, _no_contact, False, False, True, False,
-            'Gaussian baseline as the paper runs it, x and y swapped',
+            'gaussian_published', gaussian_published, _no_contact,
+            tunable=False, symmetric=True, onboard=False,
+            summary='Gaussian baseline as the paper runs it, x and y swapped',
         ),
         Method(
             'area_equivalent_published', area_equivalent_published, _no_contact,
-            False, False, False, False,
-            'area baseline as the paper runs it, length always on x',
+            tunable=False, symmetric=False, onboard=False,
+            summary='area baseline as the paper runs it, length always on x',
         ),
     )
 })

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.wire import WireImage
+from obbhbb_ros.wire.image import WireImage
 
 Region = tuple[int, int, int, int]
 """x0, y0, x1, y1 in whole pixels, upper ends exclusive."""

@@ -30,16 +30,15 @@ from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.downlink.pairing import Pairing
 from obbhbb_ros.downlink.pairing import Stamp
 from obbhbb_ros.downlink.pairing import Unpaired
-from obbhbb_ros.nodes.chip_settings import CHIP_TABLE
-from obbhbb_ros.nodes.chip_settings import IMAGES_KEPT
-from obbhbb_ros.nodes.chip_settings import PLANS_KEPT
-from obbhbb_ros.nodes.chip_settings import ChipSettings
-from obbhbb_ros.nodes.chip_settings import build_chip_settings
 from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.messages import read_regions
-from obbhbb_ros.wire import Forms
-from obbhbb_ros.wire import WireImage
-from obbhbb_ros.wire import read_image
+from obbhbb_ros.settings import CHIP_EXTRACTOR
+from obbhbb_ros.settings import IMAGES_KEPT
+from obbhbb_ros.settings import PLANS_KEPT
+from obbhbb_ros.settings import ChipSettings
+from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.detections import read_regions
+from obbhbb_ros.wire.image import WireImage
+from obbhbb_ros.wire.image import read_image
 
 _CHIPS_KEPT = 1000
 _IMAGE, _REGIONS = 0, 1
@@ -62,7 +61,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     Managed node `chip_extractor`.
 
     Subscribes to `image` and `crop_regions`, publishes `chip/compressed`, `chip/camera_info` and
-    `/diagnostics`. The README documents topics and parameters.
+    `/diagnostics`. Topics and parameters: `doc/chip_extractor.md`.
 
     Parameters
     ----------
@@ -79,10 +78,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(
-            'chip_extractor', CHIP_TABLE, build_chip_settings,
-            ('images_received', 'chips_sent', 'bytes_sent'), **kwargs,
+            'chip_extractor', CHIP_EXTRACTOR, ('images_received', 'chips_sent', 'bytes_sent'),
+            **kwargs,
         )
-        self._forms = Forms()
         self._pairing = Pairing(self._let_go, self._ran_back)
         self._budget = self._parameters_in_force.settings.budget
         # The link does not forget what was sent because the node was switched off and on.
@@ -102,8 +100,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         # pieces fill the middleware's buffers, which would cost the plan beside it.
         self._images_in, self._regions_in = (
             self._input(
-                kind, topic, callback, raw=True, reliability=ReliabilityPolicy.RELIABLE,
-                depth=depth,
+                kind, topic, callback, reliability=ReliabilityPolicy.RELIABLE, depth=depth
             )
             for kind, topic, callback, depth in (
                 (Image, 'image', self._on_image, IMAGES_KEPT),
@@ -142,8 +139,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             return
         try:
             image = read_image(data)
-        except ValueError as error:
-            self._drop_unreadable(data, self._images_in.topic_name, 'Image', error)
+        except WireError as error:
+            self._drop_unreadable(data, self._images_in, error)
             return
         self._pair(_IMAGE, image.stamp, image)
 
@@ -154,10 +151,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._monitor.add('messages_while_inactive')
             return
         try:
-            stamp, regions = read_regions(data, self._forms)
-        except Exception as error:
-            topic = self._regions_in.topic_name
-            self._drop_unreadable(data, topic, 'Detection2DArray', error)
+            stamp, regions = read_regions(data)
+        except WireError as error:
+            self._drop_unreadable(data, self._regions_in, error)
             return
         self._monitor.add('chips_planned', len(regions))
         self._pair(_REGIONS, stamp, regions)

@@ -13,29 +13,31 @@ import math
 import textwrap
 from collections.abc import Mapping
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from obbhbb_ros.converter import PAPER_RULE
 from obbhbb_ros.files import write_text
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.methods import METHODS
-from obbhbb_ros.nodes import play_detections
-from obbhbb_ros.nodes.chip_settings import CHIP_TABLE
-from obbhbb_ros.nodes.parameters import ParameterSpec
-from obbhbb_ros.nodes.settings import CLASS_TABLE
-from obbhbb_ros.nodes.settings import TABLE
+from obbhbb_ros.nodes.play_detections import PLAY_DETECTIONS
+from obbhbb_ros.settings import CHIP_EXTRACTOR
+from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings import Parameter
+from obbhbb_ros.settings import ParameterTable
 
-PAPER = {'method': 'shape_aware', 'q': 2.2, 'f': 0.9, 's': 1.0}
-NODE_TABLES: dict[str, Sequence[ParameterSpec]] = {
-    'obb_to_hbb': TABLE + CLASS_TABLE,
-    'chip_extractor': CHIP_TABLE,
-    'play_detections': play_detections.TABLE,
+PAPER = asdict(PAPER_RULE)
+NODE_TABLES: dict[str, ParameterTable[Any]] = {
+    'obb_to_hbb': OBB_TO_HBB,
+    'chip_extractor': CHIP_EXTRACTOR,
+    'play_detections': PLAY_DETECTIONS,
 }
 _INDENT = ' ' * 4
 _COLUMNS = 100
 
 
-def yaml_file(title: str, values: Mapping[str, Any], table: Sequence[ParameterSpec]) -> str:
+def yaml_file(title: str, values: Mapping[str, Any], table: Sequence[Parameter]) -> str:
     """
     Write a parameter file with every parameter and its comment.
 
@@ -45,7 +47,7 @@ def yaml_file(title: str, values: Mapping[str, Any], table: Sequence[ParameterSp
         First comment.
     values : mapping of str to value
         What differs from the defaults.
-    table : sequence of ParameterSpec
+    table : sequence of Parameter
         The node's rows.
 
     Returns
@@ -73,7 +75,7 @@ def yaml_value(value: Any) -> str:
     return json.dumps(value)
 
 
-def markdown_table(table: Sequence[ParameterSpec]) -> str:
+def markdown_table(table: Sequence[Parameter]) -> str:
     """Write the rows as a Markdown table."""
     rows = [
         (
@@ -122,7 +124,10 @@ def page_tables() -> dict[str, dict[str, str]]:
     return {
         'method': {'methods': rows_table(head, methods)},
         'formats': {'formats': rows_table(('format', 'files', 'what it is'), formats)},
-        **{node: {'parameters': markdown_table(table)} for node, table in NODE_TABLES.items()},
+        **{
+            node: {'parameters': markdown_table(table.rows + table.class_rows)}
+            for node, table in NODE_TABLES.items()
+        },
     }
 
 
@@ -148,20 +153,21 @@ def documents(root: Path) -> dict[Path, str]:
             pages[path] = with_table(pages[path], name, table)
     return {
         root / 'config' / 'obb_to_hbb.yaml': yaml_file(
-            'obb_to_hbb: the recommended settings. Every parameter is here.', {}, TABLE
+            'obb_to_hbb: the recommended settings. Every parameter is here.', {}, OBB_TO_HBB.rows
         ),
         root / 'config' / 'paper.yaml': yaml_file(
             "obb_to_hbb: the paper's rule (Algorithm 1) with its best-found parameters.",
-            PAPER, TABLE,
+            PAPER, OBB_TO_HBB.rows,
         ),
         root / 'config' / 'chip_extractor.yaml': yaml_file(
-            'chip_extractor: the default settings. Every parameter is here.', {}, CHIP_TABLE
+            'chip_extractor: the default settings. Every parameter is here.',
+            {}, CHIP_EXTRACTOR.rows,
         ),
         **pages,
     }
 
 
-def _note(spec: ParameterSpec) -> str:
+def _note(spec: Parameter) -> str:
     """Write meaning and range of a parameter."""
     note = spec.meaning
     if spec.range_text:

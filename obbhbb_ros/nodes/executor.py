@@ -68,10 +68,13 @@ class ExpressExecutor(SingleThreadedExecutor):
         """
         if self._others_ready:
             self._spin_base(0.0)
-        elif self._wait_set is None and not self._gather():
+            return
+        if self._wait_set is None:
+            self._wait_set = self._gather()
+        if self._wait_set is None:
             self._spin_base(timeout_sec)
         else:
-            self._spin_express(timeout_sec)
+            self._spin_express(self._wait_set, timeout_sec)
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """See the base class."""
@@ -89,9 +92,9 @@ class ExpressExecutor(SingleThreadedExecutor):
         handler()
         handler.result()
 
-    def _spin_express(self, timeout_sec: float | None) -> None:
+    def _spin_express(self, wait_set: internals.KeptWaitSet, timeout_sec: float | None) -> None:
         """Wait; hand over a message of each subscription that has one."""
-        ready = self._wait_set.wait(timeout_sec)
+        ready = wait_set.wait(timeout_sec)
         if not self.context.ok():
             raise ExternalShutdownException
         try:
@@ -104,23 +107,22 @@ class ExpressExecutor(SingleThreadedExecutor):
         finally:
             # Asked for only now that the messages are through. A guard condition may tell of new
             # entities, so the next wait is for what there is then.
-            if ready or self._wait_set.others_ready() or internals.has_tasks(self):
+            if ready or wait_set.others_ready() or internals.has_tasks(self):
                 self._others_ready = True
                 self._forget_wait_set()
 
-    def _gather(self) -> bool:
-        """Make the wait set for what there is now; tell whether the short way is open."""
+    def _gather(self) -> internals.KeptWaitSet | None:
+        """Make the wait set for what there is now; None where the short way is not open."""
         nodes = self.get_nodes()
         if len(nodes) != 1 or any(nodes[0].guards) or internals.has_tasks(self):
-            return False
+            return None
         express = getattr(nodes[0], 'express_subscriptions', ())
         try:
             self._express = [(internals.pointer(each), each) for each in express]
-            self._wait_set = internals.KeptWaitSet(self, nodes[0])
+            return internals.KeptWaitSet(self, nodes[0])
         except InvalidHandle:
             # Another thread is destroying something; the base class knows how to wait all the same.
-            return False
-        return True
+            return None
 
     def _forget_wait_set(self) -> None:
         """Let the entities of the wait set be destroyed."""

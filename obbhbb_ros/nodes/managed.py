@@ -9,6 +9,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from collections.abc import Mapping
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Any
 from typing import Generic
 
@@ -25,19 +26,25 @@ from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.monitor import PERIOD
 from obbhbb_ros.nodes.monitor import Monitor
 from obbhbb_ros.nodes.parameters import LiveParameters
-from obbhbb_ros.nodes.parameters import ParameterSpec
-from obbhbb_ros.nodes.parameters import SettingsT
-from obbhbb_ros.nodes.parameters import Values
 from obbhbb_ros.nodes.process import StartError
+from obbhbb_ros.settings import AUTOSTART
+from obbhbb_ros.settings import ParameterTable
+from obbhbb_ros.settings import SettingsT
+from obbhbb_ros.wire.layouts import InputType
 
 _DEPTH = 10
 _WARN_PERIOD = 5.0
 
-AUTOSTART = ParameterSpec(
-    'autostart', True,
-    'Configure and activate the node when it starts; without it, a lifecycle manager does.',
-    read_only=True,
-)
+def message_type(input_type: InputType) -> Any:
+    """
+    Give the message class of an input type.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If the package that defines it is not installed.
+    """
+    return getattr(import_module(f'{input_type.package}.msg'), input_type.name)
 
 
 class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
@@ -51,14 +58,10 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
     ----------
     name : str
         Default name of the node.
-    table : sequence of ParameterSpec
+    table : ParameterTable
         Its parameters, `AUTOSTART` among them.
-    build : callable
-        Makes settings of all values, see `LiveParameters`.
     rates : tuple of str
-        Counters whose rate the diagnostics tell as well.
-    per_class : sequence of ParameterSpec
-        Parameters of each class, see `LiveParameters`.
+        Counters whose rate is in the diagnostics as well.
     **kwargs
         Passed to `rclpy.lifecycle.LifecycleNode`.
 
@@ -69,17 +72,11 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
     """
 
     def __init__(
-        self,
-        name: str,
-        table: Sequence[ParameterSpec],
-        build: Callable[[Values], SettingsT],
-        rates: tuple[str, ...],
-        per_class: Sequence[ParameterSpec] = (),
-        **kwargs: Any,
+        self, name: str, table: ParameterTable[SettingsT], rates: tuple[str, ...], **kwargs: Any
     ) -> None:
         super().__init__(name, **kwargs)
         self._parameters_in_force = LiveParameters[SettingsT](
-            self, table, build, internals.parameters_given(self), per_class
+            self, table, internals.parameters_given(self)
         )
         self._warn_of_unknown_parameters()
         self._monitor = Monitor(self, rates)
@@ -180,18 +177,17 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         self,
         message_type: Any,
         topic: str,
-        callback: Any,
-        raw: bool = False,
+        callback: Callable[[bytes], None],
         reliability: ReliabilityPolicy = ReliabilityPolicy.BEST_EFFORT,
         depth: int = _DEPTH,
     ) -> Any:
-        """Create a subscription, by default one that any publisher's reliability fits."""
-        subscription = self.create_subscription(
+        """Subscribe to the bytes of messages, by default from publishers of any reliability."""
+        subscription: Any = self.create_subscription(
             message_type,
             topic,
             callback,
             QoSProfile(depth=depth, reliability=reliability),
-            raw=raw,
+            raw=True,
             event_callbacks=SubscriptionEventCallbacks(
                 message_lost=lambda status: self._on_message_lost(subscription, status)
             ),
@@ -226,13 +222,13 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
             f'qos_overrides.{topic}.subscription.reliability: reliable',
         )
 
-    def _drop_unreadable(self, data: bytes, topic: str, kind: str, error: Exception) -> None:
+    def _drop_unreadable(self, data: bytes, subscription: Any, error: Exception) -> None:
         """Count a message that cannot be read as what it should be."""
         self._monitor.add('messages_unreadable')
         self._warn(
             'unreadable message',
-            f'dropped a message of {len(data)} bytes on {topic}, it cannot be read as {kind}: '
-            f'{error}'
+            f'dropped a message of {len(data)} bytes on {subscription.topic_name}, it cannot be '
+            f'read as {subscription.msg_type.__name__}: {error}',
         )
 
     def _warn(self, kind: str, text: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import operator
 from array import array
+from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
@@ -38,59 +39,18 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.images import find_images
 from obbhbb_ros.labels.images import load_image
 from obbhbb_ros.nodes import internals
-from obbhbb_ros.nodes.messages import message_type
+from obbhbb_ros.nodes.managed import message_type
 from obbhbb_ros.nodes.parameters import LiveParameters
-from obbhbb_ros.nodes.parameters import ParameterSpec
-from obbhbb_ros.nodes.settings import DETECTIONS
-from obbhbb_ros.nodes.settings import IMAGE_SIZE_LIMIT
-from obbhbb_ros.nodes.settings import POLYGON
-from obbhbb_ros.nodes.settings import POLYGONS
+from obbhbb_ros.settings import IMAGE_SIZE_LIMIT
+from obbhbb_ros.settings import Parameter
+from obbhbb_ros.settings import ParameterTable
+from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 HARBOUR = 'harbour.csv'
 HARBOUR_SIZE = (1024, 768)
 _POLL_PERIOD = 0.1
 _QUIET_POLLS = 3
 
-TABLE: tuple[ParameterSpec, ...] = (
-    ParameterSpec(
-        'path', '',
-        'Label file, or folder of label files; empty for the synthetic harbour of the package.',
-        read_only=True,
-    ),
-    ParameterSpec(
-        'format', '', 'Format of the labels; empty to detect it.', choices=('', *FORMATS),
-        read_only=True,
-    ),
-    ParameterSpec('rate', 1.0, 'Images a second.', 0.001, 10000.0, read_only=True),
-    ParameterSpec('loop', False, 'Begin again after the last image, instead of ending.'),
-    ParameterSpec(
-        'output_type', DETECTIONS,
-        'Message type: the first goes to `detections`, the others to `polygons`. With the last, '
-        'each box is a message of its own.',
-        choices=(DETECTIONS, POLYGONS, POLYGON), read_only=True,
-    ),
-    ParameterSpec(
-        'images', True,
-        'Publish the images too, on `image`, where they are found: beside the labels or in a '
-        'folder images/ for labels/. Takes Pillow.',
-    ),
-    ParameterSpec('frame_id', 'camera', 'Frame of every header.'),
-    ParameterSpec(
-        'image_width', 0,
-        'Width of every image, pixels; 0 where the labels or the images tell.',
-        0, IMAGE_SIZE_LIMIT, read_only=True,
-    ),
-    ParameterSpec(
-        'image_height', 0,
-        'Height of every image, pixels; 0 where the labels or the images tell.',
-        0, IMAGE_SIZE_LIMIT, read_only=True,
-    ),
-    ParameterSpec(
-        'wait_for_subscribers', 1,
-        'Subscribers to wait for before the first image, so that it is not lost.',
-        0, 1000, read_only=True,
-    ),
-)
 
 
 @dataclass(frozen=True)
@@ -102,16 +62,60 @@ class PlayerSettings:
     frame_id: str
 
 
-def _build_settings(values: Mapping[str, Any]) -> PlayerSettings:
-    """Make settings of parameter values."""
+def _settings(values: Mapping[str, Any]) -> PlayerSettings:
+    """Make settings for `play_detections`."""
     if bool(values['image_width']) != bool(values['image_height']):
         raise ValueError('image_width and image_height must be given together')
     return PlayerSettings(values['loop'], values['images'], values['frame_id'])
 
 
+PLAY_DETECTIONS = ParameterTable(
+    (
+        Parameter(
+            'path', '',
+            'Label file, or folder of label files (empty: a synthetic harbour).', read_only=True,
+        ),
+        Parameter(
+            'format', '', 'Format of the labels (empty: detected).', choices=('', *FORMATS),
+            read_only=True,
+        ),
+        Parameter('rate', 1.0, 'Images per second.', 0.001, 10000.0, read_only=True),
+        Parameter('loop', False, 'Start again after the last image, instead of ending.'),
+        Parameter(
+            'output_type', next(iter(INPUT_TYPES)),
+            'Message type; the topic is '
+            + ', '.join(f'`{each.topic}` for {each.name}' for each in INPUT_TYPES.values())
+            + '. A PolygonStamped holds one box.',
+            choices=tuple(INPUT_TYPES), read_only=True,
+        ),
+        Parameter(
+            'images', True,
+            'Publish the images on `image` too, if they lie beside the labels, or in images/ '
+            'where the labels lie in labels/. Needs Pillow.',
+        ),
+        Parameter('frame_id', 'camera', 'frame_id of every header.'),
+        Parameter(
+            'image_width', 0, 'Width of every image, pixels (0: from the labels or images).',
+            0, IMAGE_SIZE_LIMIT, read_only=True,
+        ),
+        Parameter(
+            'image_height', 0, 'Height of every image, pixels (0: from the labels or images).',
+            0, IMAGE_SIZE_LIMIT, read_only=True,
+        ),
+        Parameter(
+            'wait_for_subscribers', 1,
+            'Wait for this many subscribers before the first image, so that it is not lost.',
+            0, 1000, read_only=True,
+        ),
+    ),
+    _settings,
+)
+"""Parameters of the node `play_detections`."""
+
+
 class PlayDetections(Node):
     """
-    Node `play_detections`: one message an image, at a rate, once or looped.
+    Node `play_detections`: one message per image, at a rate, once or looped.
 
     Publishes `detections` or `polygons`, `camera_info` where the image's size is known, and
     `image` where the image is found.
@@ -130,10 +134,10 @@ class PlayDetections(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__('play_detections', **kwargs)
         self._parameters_in_force = LiveParameters[PlayerSettings](
-            self, TABLE, _build_settings, internals.parameters_given(self)
+            self, PLAY_DETECTIONS, internals.parameters_given(self)
         )
         values: dict[str, Any] = self._parameters_in_force.values()
-        self._output_type = values['output_type']
+        self._output_type = INPUT_TYPES[values['output_type']]
         self._wanted = values['wait_for_subscribers']
         self._period = 1.0 / values['rate']
         self._skipped = 0
@@ -144,8 +148,7 @@ class PlayDetections(Node):
         self._position = 0
         self._known_subscribers: list[int] = []
         self._quiet_polls = 0
-        topic = 'detections' if self._output_type == DETECTIONS else 'polygons'
-        self._publisher = self._output(message_type(self._output_type), topic)
+        self._publisher = self._output(message_type(self._output_type), self._output_type.topic)
         self._camera_publisher = self._output(CameraInfo, 'camera_info')
         self._image_publisher = self._output(Image, 'image', 4)
         self._timer = self.create_timer(_POLL_PERIOD, self._begin)
@@ -242,11 +245,7 @@ class PlayDetections(Node):
 
     def _messages(self, labels: ImageLabels, header: Header) -> list[Any]:
         """Write an image's labels in the type that was asked for."""
-        if self._output_type == DETECTIONS:
-            return [detections_message(labels, header)]
-        if self._output_type == POLYGONS:
-            return [polygons_message(labels, header)]
-        return [polygon_message(corners, header) for corners in labels.corners.tolist()]
+        return _MESSAGES[self._output_type.name](labels, header)
 
     def _end(self) -> None:
         """Leave when all is delivered."""
@@ -323,19 +322,27 @@ def image_message(encoding: str, pixels: NDArray[Any], header: Header) -> Image:
 
 
 def polygons_message(labels: ImageLabels, header: Header) -> Any:
-    """Write an image's labels as a `Polygon2DCollection`, four corners a label."""
+    """Write an image's labels as a `Polygon2DCollection`, four corners per label."""
     from polygon_msgs.msg import Point2D
     from polygon_msgs.msg import Polygon2D
+    from polygon_msgs.msg import Polygon2DCollection
 
-    message = message_type(POLYGONS)(header=header)
-    message.polygons = [
+    return Polygon2DCollection(header=header, polygons=[
         Polygon2D(points=[Point2D(x=x, y=y) for x, y in corners])
         for corners in labels.corners.tolist()
-    ]
-    return message
+    ])
 
 
 def polygon_message(corners: Sequence[Sequence[float]], header: Header) -> PolygonStamped:
     """Write one label as a `PolygonStamped`; its coordinates are single precision."""
     points = [Point32(x=x, y=y) for x, y in corners]
     return PolygonStamped(header=header, polygon=Polygon(points=points))
+
+
+_MESSAGES: dict[str, Callable[[ImageLabels, Header], list[Any]]] = {
+    'Detection2DArray': lambda labels, header: [detections_message(labels, header)],
+    'Polygon2DCollection': lambda labels, header: [polygons_message(labels, header)],
+    'PolygonStamped': lambda labels, header: [
+        polygon_message(corners, header) for corners in labels.corners.tolist()
+    ],
+}

@@ -26,7 +26,7 @@ from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.study.summary import text_table
-from obbhbb_ros.wire import read_image
+from obbhbb_ros.wire.image import read_image
 
 SIDE = 4096
 MERGE = CropSettings(merge_max_size=256)

@@ -15,7 +15,6 @@ import random
 import struct
 from array import array
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point32
@@ -24,31 +23,34 @@ from geometry_msgs.msg import PolygonStamped
 from polygon_msgs.msg import Point2D
 from polygon_msgs.msg import Polygon2D
 from polygon_msgs.msg import Polygon2DCollection
-from rclpy.serialization import deserialize_message
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image
-from wire import FORMS
 from wire import TEXTS
 from wire import run_mutations
 from wire import seed_message
 
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import half_extents
-from obbhbb_ros.converter import to_xyxy
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
 from obbhbb_ros.downlink.chips import ChipError
 from obbhbb_ros.downlink.chips import cut
 from obbhbb_ros.downlink.chips import pixel_format
 from obbhbb_ros.downlink.chips import placed
 from obbhbb_ros.downlink.chips import view_of
-from obbhbb_ros.downlink.crops import CropSettings
-from obbhbb_ros.downlink.crops import plan_crops
-from obbhbb_ros.nodes import messages
-from obbhbb_ros.nodes.frames import TypedFrame
-from obbhbb_ros.wire import read_image
+from obbhbb_ros.pipeline import Batch
+from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.detections import read_regions
+from obbhbb_ros.wire.image import read_image
+from obbhbb_ros.wire.image import read_image_size
+from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 EXTREMES = [0.0, -0.0, 5e-324, 1e-308, 1e15, 1e150, 1e154, 1e155, 1.7e308, np.nan, np.inf]
+
+
+SETTINGS = [
+    OBB_TO_HBB.settings({'invalid_policy': policy, 'crop.merge_max_size': merged})
+    for policy, merged in (('drop', 0), ('keep', 300))
+]
 
 
 def coordinate(source: random.Random) -> float:
@@ -105,22 +107,17 @@ def camera_seed(source: random.Random) -> bytes:
     return serialize_message(info)
 
 
-def polygon_check(kind: Any) -> Callable[[bytes], str]:
-    """Do with a polygon message what the conversion node does."""
+def batch_check(name: str) -> Callable[[bytes], str]:
+    """Do with a message what the conversion node does."""
 
     def check(data: bytes) -> str:
-        try:
-            frame = TypedFrame(data, kind)
-        except Exception:
-            # Whatever the middleware raises: the node counts it as unreadable.
-            return 'refused'
-        boxes = frame.boxes(1.0)
-        extents = half_extents(boxes, [HullRule()])
-        assert np.isfinite(extents).all(axis=0).tolist() == boxes.valid.tolist()
-        for keep_invalid in (False, True):
-            frame.boxes_message(boxes, extents, keep_invalid)
-        xyxy = to_xyxy(boxes.center, extents)
-        frame.crops_message(plan_crops(xyxy, frame.scores(), (640, 480), CropSettings()))
+        for settings in SETTINGS:
+            try:
+                batch = Batch(data, INPUT_TYPES[name], settings)
+            except WireError:
+                return 'refused'
+            batch.boxes_message()
+            batch.crop_regions_message((640, 480))
         return 'read'
 
     return check
@@ -130,7 +127,7 @@ def image_check(data: bytes) -> str:
     """Do with an image what the chip node does."""
     try:
         image = read_image(data)
-    except ValueError:
+    except WireError:
         return 'refused'
     try:
         layout = pixel_format(image.encoding, 'png')
@@ -147,9 +144,8 @@ def image_check(data: bytes) -> str:
 def regions_check(data: bytes) -> str:
     """Do with a crop plan what the chip node does."""
     try:
-        _, regions = messages.read_regions(data, FORMS)
-    except Exception:
-        # Whatever the middleware raises: the node counts it as unreadable.
+        _, regions = read_regions(data)
+    except WireError:
         return 'refused'
     layout = PIXEL_FORMATS['rgb8']
     for region in regions:
@@ -160,18 +156,17 @@ def regions_check(data: bytes) -> str:
 def camera_check(data: bytes) -> str:
     """Do with a camera info what the conversion node does."""
     try:
-        info = deserialize_message(data, CameraInfo)
-    except Exception:
-        # Whatever the middleware raises: the node counts it as unreadable.
+        width, height = read_image_size(data)
+    except WireError:
         return 'refused'
-    width, height = messages.image_size(info)
     assert width >= 0 <= height
     return 'read'
 
 
 KINDS = {
-    'polygons': (polygons_seed, polygon_check(Polygon2DCollection)),
-    'polygon': (polygon_seed, polygon_check(PolygonStamped)),
+    'detections': (seed_message, batch_check('Detection2DArray')),
+    'polygons': (polygons_seed, batch_check('Polygon2DCollection')),
+    'polygon': (polygon_seed, batch_check('PolygonStamped')),
     'regions': (seed_message, regions_check),
     'image': (image_seed, image_check),
     'camera_info': (camera_seed, camera_check),

@@ -29,45 +29,35 @@ from cdr import Hypothesis
 from cdr import Message
 from cdr import encode
 
-from obbhbb_ros.wire import Detections
-from obbhbb_ros.wire import Forms
-from obbhbb_ros.wire import NotPlainCdrError
-from obbhbb_ros.wire import WireError
-from obbhbb_ros.wire import canonical
+from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.detections import Detections
+from obbhbb_ros.wire.detections import canonical
 
 WORDS = [0, 1, 2, 3, 4, 5, 7, 8, 0x7F, 0xFF, 0x100, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1]
 TEXTS = ['', 'a', 'ship', 'camera', 'größe', 'x' * 63]
-# Forms met in one input are known in the next, as they are in the node.
-FORMS = Forms(capacity=64)
 SLOWEST = 2.0
 
 
 def check(data: bytes) -> str:
     """Hold one input against what must hold; tell what became of it."""
     try:
-        found = Detections(data, FORMS)
-    except NotPlainCdrError:
-        return 'left to the typed path'
+        found = Detections(data)
     except WireError:
         return 'refused'
     count = len(found)
     assert count * 64 <= len(data), 'more detections than the bytes can hold'
-    places, scores = found.best_hypotheses()
-    assert len(found.class_ids(places)) == len(scores) == count
+    assert len(found.class_ids()) == len(found.scores()) == count
     boxes_at = [4 + 8 * int(at) for at in found._boxes_at[0]]
     plain, rows = canonical(data), np.arange(4.0 * count).reshape(-1, 4) - 0.5
-    centers, written = found.xywhr()[:, :2], found.rewrite(rows[:, 2:].T / 2)
+    written = found.rewrite(rows)
     assert len(plain) == len(written)
     outside_plain, outside_written = bytearray(plain), bytearray(written)
     for at in boxes_at:
-        # Theta and the sizes lie behind the centre.
-        outside_plain[at + 16 : at + 40] = outside_written[at + 16 : at + 40] = bytes(24)
+        outside_plain[at : at + 40] = outside_written[at : at + 40] = bytes(40)
     assert outside_plain == outside_written, 'changed outside the box fields'
-    again = Detections(written, FORMS).xywhr()
-    np.testing.assert_array_equal(again[:, :2], centers)
-    np.testing.assert_array_equal(again[:, 2:4], rows[:, 2:])
+    np.testing.assert_array_equal(Detections(written).xywhr()[:, :4], rows)
     chosen = np.arange(count)[::-2]
-    selected = Detections(found.selected(chosen, rows[chosen]), FORMS)
+    selected = Detections(found.selected(chosen, rows[chosen]))
     np.testing.assert_array_equal(selected.xywhr()[:, :4], rows[chosen])
     return 'read'
 

@@ -6,17 +6,15 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-import yaml
 
 import obbhbb_ros
 from obbhbb_ros.labels import read_labels
-from obbhbb_ros.nodes.chip_settings import CHIP_TABLE
-from obbhbb_ros.nodes.chip_settings import build_chip_settings
+from obbhbb_ros.nodes.documentation import NODE_TABLES
 from obbhbb_ros.nodes.documentation import PAPER
 from obbhbb_ros.nodes.documentation import documents
-from obbhbb_ros.nodes.settings import CLASS_TABLE
-from obbhbb_ros.nodes.settings import TABLE
-from obbhbb_ros.nodes.settings import build_settings
+from obbhbb_ros.settings import CHIP_EXTRACTOR
+from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings import read_values
 from obbhbb_ros.study.harbour import harbour
 
 ROOT = Path(__file__).parents[2]
@@ -35,33 +33,25 @@ def test_every_parameter_file_and_every_marked_table_follows_from_the_tables() -
     assert {*ROOT.glob('config/*.yaml'), *marked} == set(DOCUMENTS)
 
 
-@pytest.mark.parametrize(('name', 'differences'), [('obb_to_hbb', {}), ('paper', PAPER)])
-def test_a_shipped_yaml_states_every_parameter_and_can_be_used(name, differences) -> None:
-    text = (ROOT / 'config' / f'{name}.yaml').read_text(encoding='utf-8')
-    values = flat(yaml.safe_load(text)['/**']['ros__parameters'])
-    assert values == {spec.name: spec.default for spec in TABLE} | differences
-    build_settings(values)
+@pytest.mark.parametrize(
+    ('name', 'table', 'differences'),
+    [
+        ('obb_to_hbb', OBB_TO_HBB, {}),
+        ('paper', OBB_TO_HBB, PAPER),
+        ('chip_extractor', CHIP_EXTRACTOR, {}),
+    ],
+)
+def test_a_shipped_yaml_states_every_parameter_and_can_be_used(name, table, differences) -> None:
+    values = read_values(ROOT / 'config' / f'{name}.yaml', '/any/name')
+    assert values == {spec.name: spec.default for spec in table.rows} | differences
+    table.settings(values)
 
 
-def flat(tree, prefix=''):
-    """Join nested keys with dots, as ROS does."""
-    values = {}
-    for key, value in tree.items():
-        inner = isinstance(value, dict)
-        values.update(flat(value, f'{prefix}{key}.') if inner else {prefix + key: value})
-    return values
-
-
-def test_the_shipped_yaml_of_the_chip_node_states_every_parameter_and_can_be_used() -> None:
-    text = (ROOT / 'config' / 'chip_extractor.yaml').read_text(encoding='utf-8')
-    values = flat(yaml.safe_load(text)['/**']['ros__parameters'])
-    assert values == {spec.name: spec.default for spec in CHIP_TABLE}
-    assert build_chip_settings(values) == build_chip_settings(
-        {spec.name: spec.default for spec in CHIP_TABLE}
-    )
-
-
-@pytest.mark.parametrize('spec', TABLE + CLASS_TABLE + CHIP_TABLE, ids=lambda spec: spec.name)
+@pytest.mark.parametrize(
+    'spec',
+    [row for table in NODE_TABLES.values() for row in table.rows + table.class_rows],
+    ids=lambda spec: spec.name,
+)
 def test_every_parameter_is_described_and_its_default_accepted(spec) -> None:
     assert spec.meaning.endswith('.')
     spec.check(spec.default)

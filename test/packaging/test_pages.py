@@ -25,6 +25,7 @@ from obbhbb_ros.downlink.budget import Dropped
 from obbhbb_ros.downlink.crops import LeftOut
 from obbhbb_ros.downlink.pairing import Unpaired
 from obbhbb_ros.nodes.documentation import NODE_TABLES
+from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / 'README.md'
@@ -230,13 +231,13 @@ def test_an_executable_and_its_parameters_exist(words: list[str]) -> None:
     assert node in EXECUTABLES
     for flag, value in pairwise(words):
         if flag == '-p':
-            assert value.partition(':=')[0] in {spec.name for spec in NODE_TABLES[node]}
+            assert value.partition(':=')[0] in {spec.name for spec in NODE_TABLES[node].rows}
 
 
 @shown('ros2', 'param', 'set')
 def test_a_parameter_that_is_set_exists_and_takes_the_value(words: list[str]) -> None:
     _, _, _, node, name, value = words
-    (spec,) = (spec for spec in NODE_TABLES[node.lstrip('/')] if spec.name == name)
+    (spec,) = (spec for spec in NODE_TABLES[node.lstrip('/')].rows if spec.name == name)
     assert not spec.read_only
     spec.check(type(spec.default)(value.removeprefix('.')))
 
@@ -328,7 +329,10 @@ def test_a_parameter_file_that_is_shown_can_be_used(block: str) -> None:
         return
     given = dict(flat(content['ros__parameters']))
     classes = '|'.join(given.get('class_ids', ['none']))
-    specs = {spec.name: spec for table in NODE_TABLES.values() for spec in table}
+    specs = {
+        spec.name: spec
+        for table in NODE_TABLES.values() for spec in table.rows + table.class_rows
+    }
     for name, value in given.items():
         spec = specs[re.sub(rf'^classes\.({classes})\.', 'classes.<id>.', name)]
         assert type(value) is type(spec.default)
@@ -365,7 +369,7 @@ def test_the_topics_of_a_page_are_those_of_the_security_policy(node: str) -> Non
 
 
 def test_the_pages_state_the_defaults_of_the_node() -> None:
-    defaults = {spec.name: spec.default for spec in NODE_TABLES['obb_to_hbb']}
+    defaults = {spec.name: spec.default for spec in NODE_TABLES['obb_to_hbb'].rows}
     (values,) = re.findall(r'^\| `q`, `f`, `s` \| ([^|]*) \|', text_of(README), re.M)
     assert [float(each) for each in values.split(',')] == [defaults[name] for name in 'qfs']
     rows = re.findall(r'^\| ([qfs]) \|.* \| (\S+) \|$', text_of(ROOT / 'doc' / 'method.md'), re.M)
@@ -376,7 +380,10 @@ def test_the_pages_state_the_defaults_of_the_node() -> None:
 def test_the_topics_of_the_player_stand_in_its_code() -> None:
     page = text_of(ROOT / 'doc' / 'play_detections.md')
     code = text_of(ROOT / 'obbhbb_ros' / 'nodes' / 'play_detections.py')
-    for topic in named_in(page, '## Published topics\n'):
+    of_labels = {each.topic for each in INPUT_TYPES.values()}
+    published = set(named_in(page, '## Published topics\n'))
+    assert of_labels < published
+    for topic in published - of_labels:
         assert f"'{topic}'" in code
 
 

@@ -39,9 +39,9 @@ from rclpy.task import Future
 from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.nodes.documentation import yaml_value
-from obbhbb_ros.nodes.messages import message_type
-from obbhbb_ros.nodes.settings import DETECTIONS
-from obbhbb_ros.nodes.settings import TABLE
+from obbhbb_ros.nodes.managed import message_type
+from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 # The last one is called first.
 SERVICES = {
@@ -190,7 +190,7 @@ class Converter:
     ) -> None:
         number = next(_numbers)
         self.namespace = namespace or f'/test_{os.getpid()}_{number}'
-        self._input_type = (parameters or {}).get('input_type', DETECTIONS)
+        self._input_type = INPUT_TYPES[(parameters or {}).get('input_type', 'Detection2DArray')]
         self._stamps = itertools.count(1)
         self._publisher: Any = None
         self.peer = Peer(site.context, self.namespace)
@@ -224,8 +224,9 @@ class Converter:
     def publisher(self) -> Any:
         """The peer's publisher of the node's input."""
         if self._publisher is None:
-            topic = 'detections' if self._input_type == DETECTIONS else 'polygons'
-            self._publisher = self.peer.publisher(message_type(self._input_type), topic)
+            self._publisher = self.peer.publisher(
+                message_type(self._input_type), self._input_type.topic
+            )
         return self._publisher
 
     def wait(self, condition: Callable[[], Any], what: str) -> None:
@@ -394,7 +395,7 @@ class Converter:
 
     def reset(self) -> None:
         """Go back to the default parameters and forget what was heard."""
-        self.set({spec.name: spec.default for spec in TABLE if not spec.read_only})
+        self.set({spec.name: spec.default for spec in OBB_TO_HBB.rows if not spec.read_only})
         self.boxes.clear()
 
 

@@ -460,7 +460,8 @@ def test_no_frame_is_lost_to_a_stall(node: ChipNode, stall: float) -> None:
         pixels, size = (large, side) if i == 20 else (small, 8)
         sent.add(node.send(pixels, 'rgb8', [(0, 0, size, size)]).stamp.sec)
     node.wait(lambda: sent <= {chip.header.stamp.sec for chip in node.chips}, 'fifty chips')
-    assert node.counts()['latency_max_ms'] > 500.0 * stall
+    # It was one: longer than the time between frames.
+    assert node.counts()['latency_max_ms'] > 100.0
 
 
 def test_a_bag_that_loops_gives_its_chips_each_time_and_says_so(

@@ -21,7 +21,7 @@ from ships import detections
 from ships import fleet
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.nodes.settings import TABLE
+from obbhbb_ros.settings import OBB_TO_HBB
 
 
 def time_of(report: DiagnosticArray) -> float:
@@ -86,7 +86,7 @@ def test_parameters_in_force_are_all_there(node: Converter) -> None:
     assert values['parameter.method'] == 'shape_aware'
     assert values['parameter.class_ids'] == "['tug']"
     assert values['parameter.classes.tug.f'] == '0.5'
-    assert {f'parameter.{spec.name}' for spec in TABLE} <= set(values)
+    assert {f'parameter.{spec.name}' for spec in OBB_TO_HBB.rows} <= set(values)
     assert not node.set_atomically({'q': 4.0, 's': 9.0}).successful
     assert values_of(node.next_report())['parameter.q'] == 'inf'
 

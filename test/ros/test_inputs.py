@@ -18,8 +18,6 @@ from ships import rows_of
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros.converter import HullRule
-from obbhbb_ros.nodes.settings import POLYGON
-from obbhbb_ros.nodes.settings import POLYGONS
 
 Points = Sequence[Sequence[float]]
 
@@ -36,14 +34,14 @@ SHAPES = [TRIANGLE, CIRCLE, CLOSED_SQUARE, CROSSED, *QUADS]
 
 @pytest.fixture(scope='module')
 def polygons_node(site: Site) -> Iterator[Converter]:
-    with Converter(site, parameters={'input_type': POLYGONS}) as node:
+    with Converter(site, parameters={'input_type': 'Polygon2DCollection'}) as node:
         node.connect()
         yield node
 
 
 @pytest.fixture(scope='module')
 def polygon_node(site: Site) -> Iterator[Converter]:
-    with Converter(site, parameters={'input_type': POLYGON}) as node:
+    with Converter(site, parameters={'input_type': 'PolygonStamped'}) as node:
         node.connect()
         yield node
 

@@ -27,8 +27,6 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros.converter import HullRule
-from obbhbb_ros.nodes.settings import POLYGON
-from obbhbb_ros.nodes.settings import POLYGONS
 
 NAN, INF = float('nan'), float('inf')
 GOOD = (100.0, 80.0, 60.0, 20.0, 0.5)
@@ -174,7 +172,7 @@ POINTLESS = [
 
 @pytest.fixture(scope='module')
 def polygons_node(site: Site) -> Iterator[Converter]:
-    with Converter(site, parameters={'input_type': POLYGONS}) as node:
+    with Converter(site, parameters={'input_type': 'Polygon2DCollection'}) as node:
         node.connect()
         yield node
 
@@ -207,7 +205,7 @@ def test_polygons_without_area_are_kept_as_no_numbers(polygons: Converter) -> No
 
 
 def test_a_stamped_polygon_that_has_no_rectangle_is_answered(site: Site) -> None:
-    with Converter(site, parameters={'input_type': POLYGON}) as node:
+    with Converter(site, parameters={'input_type': 'PolygonStamped'}) as node:
         node.connect()
         answer = node.convert(polygon([(0.0, 0.0), (3e38, 1.0), (1.0, 3e38), (3e38, 3e38)]))
         assert answer.detections == []

@@ -31,11 +31,9 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.converter import Caps
 from obbhbb_ros.converter import HullRule
-from obbhbb_ros.nodes.chip_settings import CHIP_TABLE
-from obbhbb_ros.nodes.parameters import MOST_CLASSES
-from obbhbb_ros.nodes.play_detections import TABLE as PLAYER_TABLE
-from obbhbb_ros.nodes.settings import CLASS_TABLE
-from obbhbb_ros.nodes.settings import TABLE
+from obbhbb_ros.nodes.documentation import NODE_TABLES
+from obbhbb_ros.settings import MOST_CLASSES
+from obbhbb_ros.settings import OBB_TO_HBB
 
 Values = Mapping[str, Any]
 
@@ -228,7 +226,7 @@ def test_a_rejected_set_changes_nothing(node: Converter, bad: Values, place: int
     node.set({'crop.min_size': 2})
     good = list({'f': 0.5, 'max_length': 10.0}.items())
     values = dict([*good[:place], *bad.items(), *good[place:]])
-    names = [spec.name for spec in TABLE]
+    names = [spec.name for spec in OBB_TO_HBB.rows]
     before = node.get(*names)
     assert not node.set_atomically(values).successful
     assert node.get(*names) == before
@@ -270,12 +268,12 @@ TYPES = {
 
 
 def test_the_parameters_are_those_of_the_contract() -> None:
-    assert {spec.name for spec in TABLE} == CONTRACT
-    names = {spec.name for spec in CLASS_TABLE}
+    assert {spec.name for spec in OBB_TO_HBB.rows} == CONTRACT
+    names = {spec.name for spec in OBB_TO_HBB.class_rows}
     assert names == {f'classes.<id>.{name}' for name in ('method', 'q', 'f', 's', 'weight')}
 
 
-@pytest.mark.parametrize('spec', TABLE, ids=lambda spec: spec.name)
+@pytest.mark.parametrize('spec', OBB_TO_HBB.rows, ids=lambda spec: spec.name)
 def test_every_parameter_is_described(node: Converter, spec: Any) -> None:
     (description,) = node.describe(spec.name)
     assert description.type == TYPES[spec.type_name]
@@ -378,7 +376,7 @@ def test_the_rule_is_that_of_the_best_hypothesis(node: Converter) -> None:
 
 def test_class_rules_are_described_and_checked_like_the_others(node: Converter) -> None:
     node.set({'class_ids': ['tug']})
-    names = [spec.name.replace('<id>', 'tug') for spec in CLASS_TABLE]
+    names = [spec.name.replace('<id>', 'tug') for spec in OBB_TO_HBB.class_rows]
     assert all(description.description for description in node.describe(*names))
     bad = {'method': 'none', 'q': 0.5, 'f': 3.0, 's': float('nan')}
     for name, value in chain(bad.items()):
@@ -407,7 +405,7 @@ def test_many_classes_come_and_go_without_a_trace(start: Callable[..., Converter
     np.testing.assert_array_equal(convert_classes(node, [names[-1]]), under(HullRule()))
     # The counters and latencies of the messages are new, the parameters are not.
     parameters = [key for key in values_of(node.next_report()) if key.startswith('parameter.')]
-    assert len(parameters) == len(TABLE)
+    assert len(parameters) == len(OBB_TO_HBB.rows)
     assert before <= len(node.next_report().values) <= before + 10
 
 
@@ -447,11 +445,10 @@ def test_the_lock_itself_is_only_for_the_start(node: Converter) -> None:
     assert not node.set_atomically({'lock_parameters': True}).successful
 
 
-@pytest.mark.parametrize('table', [TABLE, CLASS_TABLE, CHIP_TABLE, PLAYER_TABLE])
+@pytest.mark.parametrize('table', NODE_TABLES.values(), ids=list(NODE_TABLES))
 def test_every_integer_fits_the_32_bits_of_tools_made_with_qt(table) -> None:
     limits = [
-        (spec.low, spec.high) for spec in table
-        if type(spec.default) is int and spec.low is not None
+        (spec.low, spec.high) for spec in table.rows + table.class_rows
+        if type(spec.default) is int
     ]
     assert all(-(2**31) <= low <= high < 2**31 for low, high in limits)
-    assert all(spec.low is not None for spec in table if type(spec.default) is int)

@@ -29,11 +29,9 @@ from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import read_labels
-from obbhbb_ros.nodes.messages import message_type
+from obbhbb_ros.nodes.managed import message_type
 from obbhbb_ros.nodes.play_detections import HARBOUR_SIZE
-from obbhbb_ros.nodes.settings import DETECTIONS
-from obbhbb_ros.nodes.settings import POLYGON
-from obbhbb_ros.nodes.settings import POLYGONS
+from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 REAL_SHIPS = Path(__file__).parents[1] / 'data' / 'real_ships.csv'
 
@@ -65,12 +63,11 @@ class Player:
     def __init__(self, site: Site, **parameters: Any) -> None:
         number = next(_numbers)
         namespace = f'/player_{os.getpid()}_{number}'
-        output_type = parameters.get('output_type', DETECTIONS)
-        topic = 'detections' if output_type == DETECTIONS else 'polygons'
+        output_type = INPUT_TYPES[parameters.get('output_type', 'Detection2DArray')]
         self.peer = Peer(site.context, namespace)
         # Size and labels are listened to before the player may count its subscribers.
         self.infos = self.peer.collect(CameraInfo, 'camera_info')
-        self.messages = self.peer.collect(message_type(output_type), topic)
+        self.messages = self.peer.collect(message_type(output_type), output_type.topic)
         self.process = run_player(site, namespace, {'rate': 50.0, **parameters})
 
     @property
@@ -304,11 +301,11 @@ def real_ships() -> list[ImageLabels]:
 
 def boxes_sent(labels: ImageLabels, output_type: str) -> list[OrientedBoxes]:
     """Give what the node has to find in each message made of an image's labels."""
-    if output_type == DETECTIONS:
+    if output_type == 'Detection2DArray':
         boxes = OrientedBoxes.from_corners(labels.corners)
         rows = np.vstack((boxes.center, boxes.length, boxes.width, boxes.theta)).T
         return [OrientedBoxes.from_xywhr(rows)]
-    if output_type == POLYGONS:
+    if output_type == 'Polygon2DCollection':
         return [OrientedBoxes.from_polygons(labels.corners)]
     single = labels.corners.astype(np.float32).astype(np.float64)
     return [OrientedBoxes.from_polygons([corners]) for corners in single]
@@ -327,7 +324,7 @@ def play_to(site: Site) -> Iterator[Callable[..., None]]:
         assert player.wait() == 0
 
 
-@pytest.mark.parametrize('output_type', [DETECTIONS, POLYGONS, POLYGON])
+@pytest.mark.parametrize('output_type', INPUT_TYPES)
 def test_real_ships_come_back_as_the_boxes_of_convert(
     start: Callable[..., Converter], play_to: Callable[..., None], output_type: str
 ) -> None:

@@ -36,7 +36,7 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.converter import Caps
 from obbhbb_ros.converter import HullRule
-from obbhbb_ros.nodes.settings import TABLE
+from obbhbb_ros.settings import OBB_TO_HBB
 
 Start = Callable[..., Converter]
 
@@ -63,7 +63,7 @@ def test_a_shipped_parameter_file_gives_what_it_states(
 ) -> None:
     path = CONFIG / file
     stated = dict(flat(yaml.safe_load(path.read_text(encoding='utf-8'))['/**']['ros__parameters']))
-    assert list(stated) == [spec.name for spec in TABLE]
+    assert list(stated) == [spec.name for spec in OBB_TO_HBB.rows]
     node = start(arguments=['--params-file', str(path)])
     node.connect()
     assert dict(zip(stated, node.get(*stated), strict=True)) == stated

@@ -34,7 +34,7 @@ from node import message
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import half_extents
-from obbhbb_ros.wire import Detections
+from obbhbb_ros.wire.detections import Detections
 
 RULES = (HullRule(), HullRule('shape_aware', 2.2, 0.9, 1.05))
 MESSAGE_PERIOD, FLIP_PERIOD, REPORT_PERIOD = 1 / 50, 1 / 10, 30.0

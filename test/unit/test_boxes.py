@@ -196,7 +196,7 @@ def test_a_few_corners_give_the_boxes_that_they_give_among_many(rows, rounded) -
         corners = np.round(corners)
     alone = OrientedBoxes.from_corners(corners)
     among = OrientedBoxes.from_corners(np.tile(corners, (5, 1, 1)))
-    assert alone.tame == among.tame
+    assert alone.regular == among.regular
     for name in ('center', 'first', 'second', 'defects'):
         few, many = getattr(alone, name), getattr(among, name)
         np.testing.assert_array_equal(many, np.concatenate([few] * 5, axis=-1))

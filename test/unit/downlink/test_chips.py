@@ -19,7 +19,7 @@ from obbhbb_ros.downlink.chips import format_text
 from obbhbb_ros.downlink.chips import pixel_format
 from obbhbb_ros.downlink.chips import placed
 from obbhbb_ros.downlink.chips import view_of
-from obbhbb_ros.wire import WireImage
+from obbhbb_ros.wire.image import WireImage
 
 EXACT = [
     CodecSettings('png'), CodecSettings('webp', lossless=True),

@@ -1,0 +1,571 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The nodes' parameters as plain data, and the settings that they amount to. No ROS in here.
+
+Each parameter is one row of a table: name, default, meaning, range. Declaration, descriptors,
+validation, the YAML files in `config/` and the tables in `doc/` all follow from it. Values are
+validated as a whole before any is applied: a set that is rejected changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Mapping
+from dataclasses import dataclass
+from dataclasses import fields
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from typing import Generic
+from typing import TypeAlias
+from typing import TypeVar
+
+import numpy as np
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.converter import F_RANGE
+from obbhbb_ros.converter import Q_RANGE
+from obbhbb_ros.converter import S_RANGE
+from obbhbb_ros.converter import Caps
+from obbhbb_ros.converter import HullRule
+from obbhbb_ros.downlink.budget import BudgetSettings
+from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.downlink.chips import CodecSettings
+from obbhbb_ros.downlink.crops import CropSettings
+from obbhbb_ros.downlink.pairing import PairingLimits
+from obbhbb_ros.methods import ONBOARD_METHODS
+from obbhbb_ros.wire.layouts import INPUT_TYPES
+
+Value: TypeAlias = bool | int | float | str | list[str]
+Values: TypeAlias = dict[str, Value]
+SettingsT = TypeVar('SettingsT')
+
+IMAGE_SIZE_LIMIT = 1_000_000
+# Each class declares five parameters, 0.1 ms each.
+MOST_CLASSES = 256
+# The largest integer that Qt's tools take, rqt_reconfigure among them.
+INT_LIMIT = 2**31 - 1
+_MOST_BYTES = 1e12
+
+# What the middleware keeps through a stall, 1.6 s of images at 10 Hz, and then hands over at once,
+# images and plans in any order: the cache holds as much.
+IMAGES_KEPT = 16
+PLANS_KEPT = 100
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    One row of a parameter table.
+
+    Attributes
+    ----------
+    name : str
+        Parameter name; `<id>` in it stands for each class id.
+    default : bool, int, float, str or list of str
+        Its type is the parameter's type.
+    meaning : str
+        One sentence with the unit.
+    low, high : float, optional
+        Bounds of a number, both included.
+    choices : tuple of str
+        Allowed strings; any where empty.
+    read_only : bool
+        Whether it can only be given at start.
+    """
+
+    name: str
+    default: Value
+    meaning: str
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+
+    @property
+    def type_name(self) -> str:
+        """Name of the type in ROS documentation."""
+        if isinstance(self.default, list):
+            return 'string[]'
+        return {bool: 'bool', int: 'int', float: 'double', str: 'string'}[type(self.default)]
+
+    @property
+    def range_text(self) -> str:
+        """The accepted values, for people."""
+        if self.choices:
+            return ', '.join(f'`{choice}`' if choice else '`""`' for choice in self.choices)
+        if self.low is None or self.high is None:
+            return ''
+        return f'{self.low:.10g} to {self.high:.10g}'
+
+    def check(self, value: Value) -> None:
+        """
+        Check one value.
+
+        Raises
+        ------
+        ValueError
+            If it has another type than the default, is out of range, or is none of the choices;
+            the message names the parameter.
+        """
+        if type(value) is not type(self.default):
+            raise ValueError(f'{self.name} must be a {self.type_name}, not {value!r}')
+        if self.choices and value not in self.choices:
+            raise ValueError(f'{self.name} must be one of {self.range_text}, not {value!r}')
+        if self.low is None or self.high is None or isinstance(value, (str, list)):
+            return
+        if math.isnan(value) or not self.low <= value <= self.high:
+            raise ValueError(f'{self.name} must be {self.range_text}, not {value}')
+
+
+@dataclass(frozen=True)
+class ParameterTable(Generic[SettingsT]):
+    """
+    The parameters of a node.
+
+    Attributes
+    ----------
+    rows : tuple of Parameter
+        Parameters that are always there.
+    build : callable
+        Makes settings of all values by name; raises ValueError where they do not fit together.
+    class_rows : tuple of Parameter
+        Parameters of each class in `class_ids`, with `<id>` in their names.
+    """
+
+    rows: tuple[Parameter, ...]
+    build: Callable[[Mapping[str, Any]], SettingsT]
+    class_rows: tuple[Parameter, ...] = ()
+
+    def parameters(self, class_ids: Iterable[str] = ()) -> dict[str, Parameter]:
+        """List all parameters by name, those of some classes included."""
+        own = (
+            replace(row, name=row.name.replace('<id>', class_id))
+            for class_id in class_ids for row in self.class_rows
+        )
+        return {row.name: row for row in (*self.rows, *own)}
+
+    def class_ids(self, values: Mapping[str, Value]) -> list[str]:
+        """
+        List the classes with parameters of their own.
+
+        Raises
+        ------
+        ValueError
+            If there are more than `MOST_CLASSES`.
+        """
+        listed = values.get('class_ids', [])
+        found = [class_id for class_id in listed if class_id] if isinstance(listed, list) else []
+        if len(found) > MOST_CLASSES:
+            raise ValueError(f'class_ids has {len(found)} classes, the maximum is {MOST_CLASSES}')
+        return found
+
+    def mentioned_classes(self, names: Iterable[str]) -> list[str]:
+        """List the class ids in some parameter names."""
+        found: dict[str, None] = {}
+        for row in self.class_rows:
+            before, _, after = row.name.partition('<id>')
+            for name in names:
+                if name.startswith(before) and name.endswith(after):
+                    found.setdefault(name[len(before) : len(name) - len(after)])
+        return list(found)
+
+    def settings(self, values: Mapping[str, Value]) -> SettingsT:
+        """
+        Check values, each by itself and all together, and make settings of them.
+
+        Parameters
+        ----------
+        values : mapping of str to value
+            Values by parameter name; the default is taken where there is none.
+
+        Returns
+        -------
+        SettingsT
+            The settings.
+
+        Raises
+        ------
+        ValueError
+            If a value cannot be used; the message names the parameter.
+        """
+        parameters = self.parameters(self.class_ids(values))
+        complete = {
+            name: values.get(name, parameter.default) for name, parameter in parameters.items()
+        }
+        for name, value in complete.items():
+            parameters[name].check(value)
+        return self.build(complete)
+
+
+def read_values(path: Path, node: str) -> Values:
+    """
+    Read a ROS parameter file.
+
+    Parameters
+    ----------
+    path : Path
+        A YAML file as `--params-file` takes it.
+    node : str
+        Full name of the node, such as '/obb_to_hbb'.
+
+    Returns
+    -------
+    dict of str to value
+        Values by parameter name, of the sections `/**`, the name of the node with and without
+        its namespace; a later section wins.
+
+    Raises
+    ------
+    ValueError
+        If the file is not such a file; the message names it.
+    OSError
+        If it cannot be read.
+
+    Examples
+    --------
+    >>> path = Path('config/obb_to_hbb.yaml')  # doctest: +SKIP
+    >>> OBB_TO_HBB.settings(read_values(path, '/obb_to_hbb')).rules[0].q  # doctest: +SKIP
+    3.0
+    """
+    # Comes with ROS, and is needed without it only here.
+    import yaml
+
+    try:
+        document = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f'{path}: {error}') from None
+    values: Values = {}
+    names = {'/**', '/' + node.rpartition('/')[2], node.rpartition('/')[2], node}
+    for name, section in document.items() if isinstance(document, dict) else ():
+        if name in names:
+            if not isinstance(section, dict) or 'ros__parameters' not in section:
+                raise ValueError(f'{path}: no ros__parameters in {name}')
+            values.update(_flattened(section['ros__parameters']))
+    if not values:
+        raise ValueError(f'{path}: no parameters for {node}')
+    return values
+
+
+def _flattened(section: Mapping[str, Any], prefix: str = '') -> Values:
+    """Write nested sections as names with dots."""
+    values: Values = {}
+    for name, value in section.items():
+        if isinstance(value, dict):
+            values.update(_flattened(value, f'{prefix}{name}.'))
+        else:
+            values[f'{prefix}{name}'] = value
+    return values
+
+
+AUTOSTART = Parameter(
+    'autostart', True,
+    'Configure and activate the node at start. If false, a lifecycle manager does it.',
+    read_only=True,
+)
+LOCK = Parameter(
+    'lock_parameters', False,
+    'Refuse every parameter change after start. Anyone on the DDS domain can make one.',
+    read_only=True,
+)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """
+    What one message is converted under.
+
+    Attributes
+    ----------
+    rules : tuple of HullRule
+        The rules in use; the first is for every class that has none of its own.
+    rule_of_class : mapping of str to int
+        Index into `rules` of each class with a rule of its own.
+    caps : Caps
+        Bounds of the boxes, pixels.
+    image_size : tuple of int
+        Width and height as parameters give them, pixels; 0 where they leave it to `camera_info`.
+    theta_scale : float
+        Factor from the input's angle unit to radians.
+    keep_invalid : bool
+        Whether detections that cannot be converted are passed on unchanged.
+    crop : CropSettings
+        How boxes become crop regions.
+    weights : ndarray, shape (number of rules,)
+        Factor on the score of a detection, by its rule.
+    compare_outer : bool
+        Whether the crop plan is compared with that of the outer boxes.
+    """
+
+    rules: tuple[HullRule, ...]
+    rule_of_class: Mapping[str, int]
+    caps: Caps
+    image_size: tuple[int, int]
+    theta_scale: float
+    keep_invalid: bool
+    crop: CropSettings
+    weights: FloatArray
+    compare_outer: bool
+
+
+def _settings(values: Mapping[str, Any]) -> Settings:
+    """Make settings for `obb_to_hbb`."""
+    rules = [HullRule(values['method'], values['q'], values['f'], values['s'])]
+    rule_of_class = {}
+    weights = [1.0]
+    for class_id in filter(None, values['class_ids']):
+        rule_of_class[class_id] = len(rules)
+        rules.append(_class_rule(values, class_id))
+        weights.append(values[f'classes.{class_id}.weight'])
+    return Settings(
+        rules=tuple(rules),
+        rule_of_class=rule_of_class,
+        caps=_caps(values),
+        image_size=(values['image_width'], values['image_height']),
+        theta_scale=math.pi / 180.0 if values['angle_unit'] == 'deg' else 1.0,
+        keep_invalid=values['invalid_policy'] == 'keep',
+        crop=_group(CropSettings, values, 'crop.'),
+        weights=np.array(weights),
+        compare_outer=values['crop.compare_outer'],
+    )
+
+
+def _class_rule(values: Mapping[str, Any], class_id: str) -> HullRule:
+    """Make the rule of a class; what it leaves open is that of the node."""
+    prefix = f'classes.{class_id}.'
+    own = {
+        field.name: values[prefix + field.name] or values[field.name] for field in fields(HullRule)
+    }
+    try:
+        return HullRule(**own)
+    except ValueError as error:
+        raise ValueError(f'{prefix}{error}') from None
+
+
+def _caps(values: Mapping[str, Any]) -> Caps:
+    """Turn the caps into pixels."""
+    metres_per_pixel = values['ground_sample_distance'] or 1.0
+    return Caps(*(
+        values[name] / metres_per_pixel if values[name] else None
+        for name in ('max_length', 'max_width')
+    ))
+
+
+def _group(group: Any, values: Mapping[str, Any], prefix: str) -> Any:
+    """Make a dataclass of the values under a prefix."""
+    own = {field.name: values[prefix + field.name] for field in fields(group)}
+    try:
+        return group(**own)
+    except ValueError as error:
+        raise ValueError(f'{prefix}{error}') from None
+
+
+OBB_TO_HBB = ParameterTable(
+    (
+        AUTOSTART,
+        LOCK,
+        Parameter(
+            'input_type', next(iter(INPUT_TYPES)),
+            'Message type of the input; the topic is '
+            + ', '.join(f'`{each.topic}` for {each.name}' for each in INPUT_TYPES.values()) + '.',
+            choices=tuple(INPUT_TYPES), read_only=True,
+        ),
+        Parameter('method', HullRule.method, 'Conversion rule.', choices=ONBOARD_METHODS),
+        Parameter(
+            'q', HullRule.q,
+            'Shape exponent of the hull: 1 is a rhombus, 2 an ellipse, .inf the rectangle.',
+            *Q_RANGE,
+        ),
+        Parameter(
+            'f', HullRule.f, 'Fullness: factor on the half-width of the hull, above 0.', *F_RANGE
+        ),
+        Parameter(
+            's', HullRule.s, 'Shrink factor on the half-extents of the box, above 0.', *S_RANGE
+        ),
+        Parameter(
+            'max_length', 0.0,
+            'Maximum of the longer side of a box, pixels, or metres with ground_sample_distance '
+            '(0: unlimited).',
+            0.0, math.inf,
+        ),
+        Parameter(
+            'max_width', 0.0,
+            'Maximum of the shorter side of a box, pixels, or metres with ground_sample_distance '
+            '(0: unlimited).',
+            0.0, math.inf,
+        ),
+        Parameter(
+            'ground_sample_distance', 0.0,
+            'Metres per pixel; if above 0, max_length and max_width are in metres.', 0.0, 1e6,
+        ),
+        Parameter(
+            'class_ids', [''],
+            f'Classes with parameters of their own, under classes.<id>, {MOST_CLASSES} at most; '
+            'empty strings are ignored.',
+        ),
+        Parameter(
+            'image_width', 0,
+            'Width of the image, pixels (0: taken from `camera_info`).', 0, IMAGE_SIZE_LIMIT,
+        ),
+        Parameter(
+            'image_height', 0,
+            'Height of the image, pixels (0: taken from `camera_info`).', 0, IMAGE_SIZE_LIMIT,
+        ),
+        Parameter(
+            'angle_unit', 'rad', 'Unit of bbox.center.theta in the input.', choices=('rad', 'deg')
+        ),
+        Parameter(
+            'invalid_policy', 'drop',
+            'Detections that cannot be converted are dropped, or kept unchanged.',
+            choices=('drop', 'keep'),
+        ),
+        Parameter(
+            'crop.padding', 0.0,
+            'Margin on each side of a crop region, as a fraction of the box along that axis.',
+            0.0, 100.0,
+        ),
+        Parameter(
+            'crop.padding_px', 0.0,
+            'Margin on each side of a crop region, pixels, added to that of crop.padding.',
+            0.0, IMAGE_SIZE_LIMIT,
+        ),
+        Parameter(
+            'crop.min_size', 0,
+            'Minimum side of a crop region, pixels; smaller regions grow (0: none).',
+            0, IMAGE_SIZE_LIMIT,
+        ),
+        Parameter(
+            'crop.max_size', 0,
+            'Maximum side of a crop region, pixels; larger regions are cut (0: unlimited).',
+            0, IMAGE_SIZE_LIMIT,
+        ),
+        Parameter(
+            'crop.multiple_of', 0,
+            'Sides of crop regions are multiples of this, pixels, as the blocks of a codec are; '
+            'except for a side as long as the image (0: any).',
+            0, IMAGE_SIZE_LIMIT,
+        ),
+        Parameter(
+            'crop.merge_max_size', 0,
+            'Crop regions are merged where that saves pixels, up to this side, pixels '
+            '(0: never merged).',
+            0, IMAGE_SIZE_LIMIT,
+        ),
+        Parameter(
+            'crop.max_count', 0,
+            'Maximum crop regions per message, most valuable first (0: unlimited).',
+            0, IMAGE_SIZE_LIMIT,
+        ),
+        Parameter(
+            'crop.max_pixels', 0,
+            'Maximum pixels in the crop regions of a message, most valuable first (0: unlimited).',
+            0, INT_LIMIT,
+        ),
+        Parameter(
+            'crop.compare_outer', False,
+            'Also plan the crops of the outer boxes, and report in the diagnostics how many '
+            'pixels are saved against them.',
+        ),
+    ),
+    _settings,
+    (
+        Parameter(
+            'classes.<id>.method', '', 'Conversion rule for this class (empty: that of the node).',
+            choices=('', *ONBOARD_METHODS),
+        ),
+        Parameter(
+            'classes.<id>.q', 0.0,
+            'Shape exponent for this class, 1 or more (0: that of the node).', 0.0, Q_RANGE[1],
+        ),
+        Parameter(
+            'classes.<id>.f', 0.0, 'Fullness for this class (0: that of the node).', *F_RANGE
+        ),
+        Parameter(
+            'classes.<id>.s', 0.0, 'Shrink factor for this class (0: that of the node).', *S_RANGE
+        ),
+        Parameter(
+            'classes.<id>.weight', 1.0,
+            'Factor on the scores of this class when crop regions are ranked.', 0.0, 1e6,
+        ),
+    ),
+)
+"""Parameters of the node `obb_to_hbb`."""
+
+
+@dataclass(frozen=True)
+class ChipSettings:
+    """What one image is cut under: encoding, budget, and how long its parts may wait."""
+
+    codec: CodecSettings
+    budget: BudgetSettings
+    pairing: PairingLimits
+
+
+def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
+    """Make settings for `chip_extractor`."""
+    return ChipSettings(
+        codec=_group(CodecSettings, values, ''),
+        budget=_group(BudgetSettings, values, 'budget.'),
+        pairing=PairingLimits(
+            (values['cache.images'], values['cache.regions']), values['cache.max_age']
+        ),
+    )
+
+
+CHIP_EXTRACTOR = ParameterTable(
+    (
+        AUTOSTART,
+        LOCK,
+        Parameter(
+            'codec', CodecSettings.codec, 'File format of the chips.', choices=tuple(CODECS)
+        ),
+        Parameter(
+            'quality', CodecSettings.quality,
+            'Quality of jpeg and webp; for jpeg2000, percent of the size of the raw pixels.',
+            1, 100,
+        ),
+        Parameter(
+            'lossless', CodecSettings.lossless,
+            'Lossless compression; for webp and jpeg2000. png always is lossless.',
+        ),
+        Parameter(
+            'budget.bytes_per_second', 0.0, 'Rate of the link, bytes per second (0: unlimited).',
+            0.0, _MOST_BYTES,
+        ),
+        Parameter(
+            'budget.burst', 0.0,
+            'Maximum bytes sent at once after a pause (0: one second at the rate of the link).',
+            0.0, _MOST_BYTES,
+        ),
+        Parameter(
+            'budget.overhead', 0, 'Bytes that each chip costs the link besides its file.',
+            0, 1_000_000,
+        ),
+        Parameter(
+            'budget.max_chips', 0, 'Maximum chips per image (0: unlimited).', 0, 1_000_000
+        ),
+        Parameter('budget.max_bytes', 0, 'Maximum bytes per image (0: unlimited).', 0, INT_LIMIT),
+        Parameter(
+            'budget.min_quality', 0,
+            'A chip that does not fit is encoded again, down to this quality (0: dropped at once).',
+            0, 100,
+        ),
+        Parameter(
+            'cache.images', IMAGES_KEPT,
+            'Maximum images that wait for their regions; the oldest is dropped first.', 1, 1000,
+        ),
+        Parameter(
+            'cache.regions', PLANS_KEPT,
+            'Maximum crop plans that wait for their image; the oldest is dropped first.',
+            1, 100_000,
+        ),
+        Parameter(
+            'cache.max_age', 2.0,
+            'How long images and crop plans wait for each other, seconds.', 0.0, 3600.0,
+        ),
+    ),
+    _chip_settings,
+)
+"""Parameters of the node `chip_extractor`."""

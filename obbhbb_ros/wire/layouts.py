@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The messages that are read and written here, as descriptions; and what their fields mean.
+
+To read one more type of detections: describe it, and add an `InputType` that says which of its
+fields are which.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from dataclasses import field
+
+from obbhbb_ros.wire.cdr import Array
+from obbhbb_ros.wire.cdr import Many
+from obbhbb_ros.wire.cdr import Numbers
+from obbhbb_ros.wire.cdr import Struct
+from obbhbb_ros.wire.cdr import Text
+
+_UINT8 = Numbers(1)
+_INT32 = _UINT32 = Numbers(4)
+_FLOAT64 = Numbers(8)
+
+HEADER: Struct = {'stamp': {'sec': _INT32, 'nanosec': _UINT32}, 'frame_id': Text()}
+
+HYPOTHESIS: Struct = {
+    'hypothesis': {'class_id': Text(), 'score': _FLOAT64},
+    'pose': {
+        'pose': {'position': Numbers(8, 3), 'orientation': Numbers(8, 4)},
+        'covariance': Numbers(8, 36),
+    },
+}
+DETECTION_2D: Struct = {
+    'header': HEADER,
+    'results': Many(HYPOTHESIS),
+    'bbox': {
+        'center': {'position': {'x': _FLOAT64, 'y': _FLOAT64}, 'theta': _FLOAT64},
+        'size_x': _FLOAT64,
+        'size_y': _FLOAT64,
+    },
+    'id': Text(),
+}
+POLYGON_2D: Struct = {'points': Array(8, 2)}
+POLYGON: Struct = {'polygon': {'points': Array(4, 3)}}
+
+IMAGE: Struct = {
+    'header': HEADER,
+    'height': _UINT32,
+    'width': _UINT32,
+    'encoding': Text(),
+    'is_bigendian': _UINT8,
+    'step': _UINT32,
+    'data': Array(1),
+}
+CAMERA_INFO: Struct = {
+    'header': HEADER,
+    'height': _UINT32,
+    'width': _UINT32,
+    'distortion_model': Text(),
+    'd': Array(8),
+    'k': Numbers(8, 9),
+    'r': Numbers(8, 9),
+    'p': Numbers(8, 12),
+    'binning_x': _UINT32,
+    'binning_y': _UINT32,
+    'roi': {
+        'x_offset': _UINT32,
+        'y_offset': _UINT32,
+        'height': _UINT32,
+        'width': _UINT32,
+        'do_rectify': _UINT8,
+    },
+}
+
+
+@dataclass(frozen=True)
+class InputType:
+    """
+    A type of message that holds oriented detections after a header.
+
+    Attributes
+    ----------
+    package, name : str
+        Where ROS finds the message type.
+    topic : str
+        Default name of the topic.
+    element : Struct
+        A detection.
+    many : bool
+        Whether a message holds a sequence of them, or just one.
+    tail : Struct
+        What follows the detections.
+    points : str
+        Path of the vertices, where a detection is a polygon; it has neither class nor score, and
+        its place in the message is its id.
+    """
+
+    package: str
+    name: str
+    topic: str
+    element: Struct
+    many: bool = True
+    tail: Struct = field(default_factory=dict)
+    points: str = ''
+
+
+INPUT_TYPES: dict[str, InputType] = {
+    each.name: each
+    for each in (
+        InputType('vision_msgs', 'Detection2DArray', 'detections', DETECTION_2D),
+        InputType(
+            'polygon_msgs', 'Polygon2DCollection', 'polygons', POLYGON_2D, points='points',
+            tail={'colors': Array(4, 4)},
+        ),
+        InputType(
+            'geometry_msgs', 'PolygonStamped', 'polygons', POLYGON, many=False,
+            points='polygon.points',
+        ),
+    )
+}
+"""What the node can subscribe to, by the name of the message type; the first is the default."""

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What `obbhbb_ros.pipeline` does, by way of message objects: slow, plain, and all of it by the book.
+
+It shares the mathematics with the product, and nothing of how bytes are read and written.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from cdr import Detection
+from cdr import Hypothesis
+from cdr import Message
+from cdr import encode
+from rclpy.serialization import deserialize_message
+from vision_msgs.msg import Detection2D
+from vision_msgs.msg import Detection2DArray
+
+from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.converter import half_extents
+from obbhbb_ros.converter import to_xyxy
+from obbhbb_ros.downlink.crops import plan_crops
+from obbhbb_ros.settings import Settings
+from obbhbb_ros.wire.layouts import InputType
+
+
+class Reference:
+    """The detections of one message, like `obbhbb_ros.pipeline.Batch`."""
+
+    def __init__(self, data: bytes, input_type: InputType, settings: Settings) -> None:
+        kind = getattr(import_module(f'{input_type.package}.msg'), input_type.name)
+        message = deserialize_message(data, kind)
+        self._settings = settings
+        if isinstance(message, Detection2DArray):
+            self._message = message
+            xywhr = np.array([box_of(each) for each in message.detections]).reshape(-1, 5)
+            xywhr[:, 4] *= settings.theta_scale
+            self._boxes = OrientedBoxes.from_xywhr(xywhr)
+        else:
+            polygons = message.polygons if hasattr(message, 'polygons') else [message.polygon]
+            self._message = without_boxes(message, len(polygons))
+            self._boxes = OrientedBoxes.from_polygons(
+                [(point.x, point.y) for point in polygon.points] for polygon in polygons
+            )
+        best = [best_hypothesis(each) for each in self._message.detections]
+        self._scores = np.array([np.nan if each is None else each.score for each in best])
+        self._rule_of = np.array([
+            settings.rule_of_class.get('' if each is None else each.class_id, 0) for each in best
+        ], np.intp)
+        self._extents = half_extents(self._boxes, settings.rules, self._rule_of, settings.caps)
+
+    def boxes_message(self) -> bytes:
+        """Write the message with axis-aligned boxes."""
+        answer = Detection2DArray(header=self._message.header)
+        for detection, center, extents in zip(
+            self._message.detections, self._boxes.center.T, self._extents.T, strict=True
+        ):
+            if np.isfinite(extents[0]):
+                answer.detections.append(with_box(detection, *center, *(2.0 * extents)))
+            elif self._settings.keep_invalid:
+                answer.detections.append(detection)
+        return serialized(answer)
+
+    def crop_regions_message(self, image_size: tuple[int, int]) -> bytes:
+        """Write the crop regions as a message."""
+        xyxy = to_xyxy(self._boxes.center, self._extents)
+        weights = self._settings.weights[self._rule_of]
+        plan = plan_crops(xyxy, self._scores, image_size, self._settings.crop, weights)
+        answer = Detection2DArray(header=self._message.header)
+        for (x0, y0, x1, y1), group in zip(plan.regions.tolist(), plan.groups(), strict=True):
+            members = [self._message.detections[row] for row in group]
+            joined = Detection2D(
+                header=members[0].header,
+                results=[result for member in members for result in member.results],
+                id='|'.join(member.id for member in members),
+            )
+            box = (x0 + x1) / 2.0, (y0 + y1) / 2.0, x1 - x0, y1 - y0
+            answer.detections.append(with_box(joined, *box))
+        return serialized(answer)
+
+
+def box_of(detection: Detection2D) -> tuple[float, ...]:
+    """Read the box of a detection as `OrientedBoxes.from_xywhr` takes it."""
+    box = detection.bbox
+    position = box.center.position
+    return position.x, position.y, box.size_x, box.size_y, box.center.theta
+
+
+def with_box(
+    detection: Detection2D, x: float, y: float, width: float, height: float
+) -> Detection2D:
+    """Copy a detection with an axis-aligned box."""
+    copy = Detection2D(header=detection.header, results=detection.results, id=detection.id)
+    copy.bbox.center.position.x, copy.bbox.center.position.y = float(x), float(y)
+    copy.bbox.size_x, copy.bbox.size_y = float(width), float(height)
+    return copy
+
+
+def without_boxes(message: Any, count: int) -> Detection2DArray:
+    """Make detections of polygons: their header is that of the message, their id their index."""
+    nan = float('nan')
+    detections = [
+        with_box(Detection2D(header=message.header, id=str(i)), nan, nan, nan, nan)
+        for i in range(count)
+    ]
+    return Detection2DArray(header=message.header, detections=detections)
+
+
+def best_hypothesis(detection: Detection2D) -> Any:
+    """Find the first hypothesis of the highest score, NaN being the lowest; None without any."""
+    best = None
+    for result in detection.results:
+        score = result.hypothesis.score
+        if best is None or score > best.score or (np.isnan(best.score) and not np.isnan(score)):
+            best = result.hypothesis
+    return best
+
+
+def serialized(message: Detection2DArray) -> bytes:
+    """Write a message by the rules of CDR, with zeros between the fields."""
+
+    def stamp_of(header: Any) -> tuple[int, int]:
+        return header.stamp.sec, header.stamp.nanosec
+
+    def pose_of(result: Any) -> tuple[float, ...]:
+        position, orientation = result.pose.pose.position, result.pose.pose.orientation
+        return (
+            position.x, position.y, position.z,
+            orientation.x, orientation.y, orientation.z, orientation.w,
+            *result.pose.covariance.tolist(),
+        )
+
+    detections = []
+    for each in message.detections:
+        x, y, width, height, theta = box_of(each)
+        results = tuple(
+            Hypothesis(result.hypothesis.class_id, result.hypothesis.score, pose_of(result))
+            for result in each.results
+        )
+        detections.append(Detection(
+            stamp_of(each.header), each.header.frame_id, results, (x, y, theta, width, height),
+            each.id,
+        ))
+    header = message.header
+    return encode(Message(stamp_of(header), header.frame_id, tuple(detections)))
