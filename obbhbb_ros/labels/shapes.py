@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Corners of boxes from what formats give instead: bounds, centre and angle, polygons."""
+"""Boxes from what formats give instead of corners: bounds, centre and angle, polygons, features."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from collections.abc import Iterator
+from collections.abc import Mapping
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
+from typing import Any
 from typing import NamedTuple
 
 import numpy as np
@@ -17,13 +21,22 @@ from obbhbb_ros.boxes import FARTHEST
 from obbhbb_ros.boxes import Defect
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.boxes import range_defect
+from obbhbb_ros.labels.documents import plain_text
 from obbhbb_ros.labels.records import NO_REFERENCE
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import FloatArray
+from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import LabelError
 from obbhbb_ros.labels.records import OnError
+from obbhbb_ros.labels.text import parse_numbers
 
 Corners = tuple[float, float, float, float, float, float, float, float]
+
+# Names that tools use for the same property, in any case; the first one with a value counts.
+IMAGE = ('image', 'image_id', 'file_name', 'filename')
+CLASS = ('class', 'class_id', 'category', 'label', 'name')
+SCORE = ('score', 'confidence')
+INSTANCE = ('instance', 'id')
 
 BOX_CORNERS = 4
 PROBLEMS = {
@@ -39,7 +52,7 @@ PROBLEMS = {
 
 def upright_corners(xyxy: Sequence[float]) -> Corners:
     """
-    Give the corners of an axis-aligned box.
+    Return the corners of an axis-aligned box.
 
     Parameters
     ----------
@@ -54,7 +67,7 @@ def upright_corners(xyxy: Sequence[float]) -> Corners:
     Raises
     ------
     ValueError
-        If a maximum is less than its minimum.
+        If a maximum is less than the minimum.
     """
     x_min, y_min, x_max, y_max = xyxy
     if x_max < x_min or y_max < y_min:
@@ -77,7 +90,7 @@ def bounds_of_xywh(x: float, y: float, width: float, height: float) -> list[floa
 
 def oriented_corners(x: float, y: float, width: float, height: float, angle: float) -> Corners:
     """
-    Give the corners of a box that is turned about its centre.
+    Return the corners of a box that is rotated about its centre.
 
     Parameters
     ----------
@@ -114,17 +127,15 @@ def _check_size(width: float, height: float) -> None:
 
 class Outlined(NamedTuple):
     """
-    A record whose box is known or, where it has `points`, still to be laid around them.
+    A record whose box is known or, if there are rings, to be computed from them.
 
-    `place` is put before what is wrong with it, `line` is its line where known; `image` is what
-    tells its image from the others of the file.
+    `image` identifies the image in the file. `rings` are the outer rings of the ship's polygons,
+    each of shape (K, 2), closed or not.
     """
 
     image: str
-    place: str
-    line: int | None
     box: Box
-    points: FloatArray | None = None
+    rings: Sequence[FloatArray] = ()
 
 
 def ring_of(values: object) -> FloatArray:
@@ -134,7 +145,7 @@ def ring_of(values: object) -> FloatArray:
     Parameters
     ----------
     values : sequence of sequences of float
-        K positions; what follows x and y in each is ignored.
+        K positions; numbers after x and y are ignored.
 
     Returns
     -------
@@ -155,6 +166,33 @@ def ring_of(values: object) -> FloatArray:
     return ring if ring.shape[1] == 2 else np.ascontiguousarray(ring[:, :2])
 
 
+def outer_rings(geometry: Any) -> list[FloatArray]:
+    """
+    Return the outer rings of a shapely geometry.
+
+    Parameters
+    ----------
+    geometry : shapely geometry or None
+        A Polygon or MultiPolygon; holes and heights are ignored.
+
+    Returns
+    -------
+    list of ndarray, each of shape (K, 2)
+        One ring per part.
+
+    Raises
+    ------
+    ValueError
+        If it is anything else or empty.
+    """
+    if geometry is None or shapely.is_empty(geometry):
+        raise ValueError('no geometry')
+    if geometry.geom_type not in {'Polygon', 'MultiPolygon'}:
+        raise ValueError(f'a {geometry.geom_type} is no polygon')
+    rings = shapely.get_exterior_ring(shapely.get_parts(geometry))
+    return [shapely.get_coordinates(ring) for ring in rings]
+
+
 def check_coordinates(points: FloatArray) -> None:
     """
     Check that polygons can be computed with.
@@ -162,120 +200,166 @@ def check_coordinates(points: FloatArray) -> None:
     Raises
     ------
     ValueError
-        If a coordinate is not finite, or so large that GEOS crashes on it or never ends.
+        If a coordinate is not finite, or so large that GEOS crashes or never ends.
     """
     defect = range_defect(points)
     if defect != Defect.NONE:
         raise ValueError(PROBLEMS[defect])
 
 
-def outline(rings: Sequence[FloatArray], box: Box) -> tuple[Box, FloatArray]:
+def feature_record(
+    default_image: str, properties: Mapping[str, Any], rings: Sequence[FloatArray]
+) -> Outlined:
     """
-    Add the hull that the outer rings of a ship's polygons show.
-
-    Several parts are one ship, cut by what hides it: the hull is the convex hull of them all. A
-    ring of four corners is somebody's box and no hull. Where it is an upright rectangle it is the
-    reference box too, unless there is one.
+    Make a record of a geographic feature.
 
     Parameters
     ----------
+    default_image : str
+        Image of features that name none.
+    properties : mapping
+        Its properties or the fields of its row; unknown ones are ignored.
     rings : sequence of ndarray, each of shape (K, 2)
-        The outer ring of each part, at least one; closed or not. Holes are part of the ship.
-    box : Box
-        The record; its corners are not looked at.
+        The outer ring of each of its polygons.
 
     Returns
     -------
-    Box, ndarray of shape (K, 2)
-        The record with the hull, and the points that its corners are to be laid around.
+    Outlined
+        The record.
 
     Raises
     ------
     ValueError
-        If there is no ring, or a value is not finite or too large.
+        If there is no ring, or the score is not a number.
     """
     if not rings:
         raise ValueError('the polygon is empty')
-    points = rings[0] if len(rings) == 1 else np.concatenate(rings)
-    check_coordinates(points)
-    ring = _without_closing(rings[0])
-    if len(rings) > 1:
-        ring = _convex_ring(points)
-    if len(rings) > 1 or len(ring) != BOX_CORNERS:
-        return box._replace(hull=ring if len(ring) >= 3 else None), points
-    if box.reference is NO_REFERENCE and _is_upright(ring):
-        reference = [*ring.min(axis=0).tolist(), *ring.max(axis=0).tolist()]
-        return box._replace(reference=reference), points
-    return box, points
-
-
-def _without_closing(ring: FloatArray) -> FloatArray:
-    closed = len(ring) > 1 and bool((ring[0] == ring[-1]).all())
-    return ring[:-1] if closed else ring
-
-
-def _convex_ring(points: FloatArray) -> FloatArray:
-    hull = shapely.convex_hull(shapely.multipoints(points))
-    return np.asarray(_without_closing(shapely.get_coordinates(hull)))
-
-
-def _is_upright(ring: FloatArray) -> bool:
-    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = ring.tolist()
-    return x0 != x2 and y0 != y2 and (
-        (y0, x1, y2, x3) == (y1, x2, y3, x0) or (x0, y1, x2, y3) == (x1, y2, x3, y0)
+    lower = {str(name).lower(): value for name, value in properties.items()}
+    score = _first(lower, SCORE)
+    box = Box(
+        corners=(),
+        class_id=_first(lower, CLASS),
+        id=_first(lower, INSTANCE),
+        score=parse_numbers([score])[0] if score else 1.0,
     )
+    return Outlined(_first(lower, IMAGE) or default_image, box, rings)
 
 
-def enclose(path: Path, records: list[Outlined], on_error: OnError) -> list[Outlined]:
+def _first(properties: Mapping[str, Any], names: Sequence[str]) -> str:
+    for name in names:
+        if name in properties and (text := plain_text(properties[name])):
+            return text
+    return ''
+
+
+def enclose(
+    path: Path, records: Iterable[tuple[int | None, str, Outlined]], on_error: OnError
+) -> dict[str, list[Box]]:
     """
-    Lay the minimum rotated rectangle around every outline of a file.
+    Lay the minimum rotated rectangle around the rings of each record.
+
+    Several rings are one ship, partly covered: the hull is the convex hull of them all. A ring of
+    four corners is a box that somebody drew, and not a hull. If it is an upright rectangle it is
+    also the reference box, unless the record has one.
 
     Parameters
     ----------
     path : Path
-        The file they came from.
-    records : list of Outlined
-        The records; those without points stay as they are. The list is emptied on the way: of a
-        large file there would be every outline beside its box.
+        The file of the records.
+    records : iterable of (int or None, str, Outlined)
+        Line, what to put before an error message, and the record, as from `parse_each`. Of a large
+        file only a block of rings is held at a time.
     on_error : callable
-        Gets a LabelError for each outline that no rectangle lies around; it is left out.
+        Gets a LabelError for each record whose rings have no rectangle; it is left out.
 
     Returns
     -------
-    list of Outlined
-        Every record with its corners, in the same order.
+    dict of str to list of Box
+        The boxes of each image, in the order of the records.
     """
-    complete: list[Outlined] = []
-    records.reverse()
-    while records:
-        block = records[: -BLOCK - 1 : -1]
-        del records[-BLOCK:]
-        complete += _enclosed(path, block, on_error)
+    images: dict[str, list[Box]] = {}
+    remaining = iter(records)
+    while block := list(islice(remaining, BLOCK)):
+        for image, box in _enclosed(path, block, on_error):
+            images.setdefault(image, []).append(box)
+    return images
+
+
+def _enclosed(
+    path: Path, block: Sequence[tuple[int | None, str, Outlined]], on_error: OnError
+) -> Iterator[tuple[str, Box]]:
+    drawn = [record for _, _, record in block if record.rings]
+    with np.errstate(over='ignore', invalid='ignore'):
+        boxes = OrientedBoxes.from_polygons(np.concatenate(record.rings) for record in drawn)
+    complete = iter(_with_hulls([drawn[row] for row in np.flatnonzero(boxes.valid)]))
+    found = zip(boxes.defects.tolist(), boxes.corners.reshape(-1, 8).tolist(), strict=True)
+    for line, place, record in block:
+        defect, corners = next(found) if record.rings else (Defect.NONE, record.box.corners)
+        if defect != Defect.NONE:
+            on_error(LabelError(path, line, f'{place}{PROBLEMS[Defect(defect)]}'))
+        elif record.rings:
+            yield record.image, next(complete)._replace(corners=corners)
+        else:
+            yield record.image, record.box
+
+
+def _with_hulls(records: Sequence[Outlined]) -> list[Box]:
+    """Add hull or reference box to the boxes of records, whose rings all have an area."""
+    if not records:
+        return []
+    rings = [ring for record in records for ring in record.rings]
+    owner = np.repeat(
+        np.arange(len(records)), [sum(map(len, record.rings)) for record in records]
+    )
+    outlines = shapely.polygons(shapely.linearrings(np.concatenate(rings), indices=owner))
+    several = np.array([len(record.rings) > 1 for record in records])
+    outlines[several] = shapely.convex_hull(outlines[several])
+    counts = shapely.get_num_coordinates(outlines)
+    # The last coordinates are the first again.
+    is_box = ~several & (counts == BOX_CORNERS + 1)
+    upright = is_box.copy()
+    upright[is_box] = _are_upright(outlines[is_box])
+    bounds = shapely.bounds(outlines).tolist()
+    closed = np.split(shapely.get_coordinates(outlines), np.cumsum(counts)[:-1])
+    complete = []
+    for row, record in enumerate(records):
+        box = record.box
+        if not is_box[row]:
+            box = box._replace(hull=closed[row][:-1])
+        elif upright[row] and box.reference is NO_REFERENCE:
+            box = box._replace(reference=bounds[row])
+        complete.append(box)
     return complete
 
 
-def _enclosed(path: Path, records: Sequence[Outlined], on_error: OnError) -> Iterator[Outlined]:
-    """Lay rectangles around some outlines."""
-    outlines = [record.points for record in records if record.points is not None]
-    with np.errstate(over='ignore', invalid='ignore'):
-        boxes = OrientedBoxes.from_polygons(outlines)
-    found = zip(boxes.defects.tolist(), boxes.corners.reshape(-1, 8).tolist(), strict=True)
-    for record in records:
-        if record.points is None:
-            yield record
-            continue
-        defect, corners = next(found)
-        if defect == Defect.NONE:
-            box = record.box._replace(corners=corners)
-            yield Outlined(record.image, record.place, record.line, box)
-        else:
-            message = f'{record.place}{PROBLEMS[Defect(defect)]}'
-            on_error(LabelError(path, record.line, message))
+def _are_upright(quadrangles: Any) -> Any:
+    envelopes = shapely.normalize(shapely.envelope(quadrangles))
+    return shapely.equals_exact(shapely.normalize(quadrangles), envelopes)
 
 
-def by_image(records: Sequence[Outlined]) -> dict[str, list[Box]]:
-    """Group the boxes of records by image, in the order of their first appearance."""
-    images: dict[str, list[Box]] = {}
-    for record in records:
-        images.setdefault(record.image, []).append(record.box)
-    return images
+def box_features(images: Sequence[ImageBoxes]) -> tuple[list[dict[str, Any]], FloatArray]:
+    """
+    Make geographic features of axis-aligned boxes.
+
+    Parameters
+    ----------
+    images : sequence of ImageBoxes
+        The images, N boxes in all.
+
+    Returns
+    -------
+    list of dict, ndarray of shape (N, 4)
+        The properties of each feature, and the boxes.
+    """
+    properties = [
+        {
+            'image': image.image,
+            'instance': box.id,
+            'class': box.class_id,
+            'score': box.score,
+            **box.diagnostics,
+        }
+        for image in images
+        for box in image.rows()
+    ]
+    return properties, np.concatenate([np.zeros((0, 4)), *(image.xyxy for image in images)])

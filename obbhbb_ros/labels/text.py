@@ -14,20 +14,21 @@ from obbhbb_ros.files import write_pieces
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import LabelError
 from obbhbb_ros.labels.records import OnError
+from obbhbb_ros.labels.records import parse_each
 
 
 def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
     """
     Read the lines of a UTF-8 file, with or without BOM, ended by LF, CRLF or CR.
 
-    Lines are decoded one by one, so that one damaged line does not take the file with it.
+    Lines are decoded one by one, so that one damaged line costs no other.
 
     Parameters
     ----------
     path : Path
         The file.
     on_error : callable
-        Gets a LabelError for each line that is not UTF-8; that line is left out.
+        Gets a LabelError for each line that is not UTF-8, which is left out.
 
     Yields
     ------
@@ -52,34 +53,26 @@ def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
 
 def read_boxes(path: Path, on_error: OnError, parse: Callable[[str], Box | None]) -> list[Box]:
     """
-    Parse a file of one record a line; blank lines mean nothing.
+    Parse a file with one record per line; blank lines are ignored.
 
     Parameters
     ----------
     path : Path
         The file.
     on_error : callable
-        Gets a LabelError for each line that `parse` refuses; that line is left out.
+        Gets a LabelError for each malformed line, which is left out.
     parse : callable
-        Line to Box, or to None where the line holds no box; raises ValueError where malformed.
+        Gets the line; returns a Box, or None if the line holds no box. Raises ValueError if it is
+        malformed.
 
     Returns
     -------
     list of Box
         In the order of the file.
     """
-    boxes = []
-    for number, line in text_lines(path, on_error):
-        if not line.strip():
-            continue
-        try:
-            box = parse(line)
-        except ValueError as error:
-            on_error(LabelError(path, number, str(error)))
-            continue
-        if box is not None:
-            boxes.append(box)
-    return boxes
+    lines = ((number, '', line) for number, line in text_lines(path, on_error) if line.strip())
+    boxes = (box for _, _, box in parse_each(path, lines, parse, on_error))
+    return [box for box in boxes if box is not None]
 
 
 def parse_numbers(fields: Iterable[str]) -> list[float]:
@@ -106,7 +99,7 @@ def _number(field: str) -> float:
 
 
 def is_number(field: str) -> bool:
-    """Tell whether a field reads as a finite number."""
+    """Return whether a field is a finite number."""
     try:
         _number(field)
     except ValueError:
@@ -115,30 +108,29 @@ def is_number(field: str) -> bool:
 
 
 def is_index(field: str) -> bool:
-    """Tell whether a field is a whole number from 0, as class indices are."""
+    """Return whether a field is a whole number from 0, as class indices are."""
     return field.isascii() and field.isdigit()
 
 
 def is_normalised(values: Iterable[float]) -> bool:
     """
-    Tell whether coordinates may be fractions of an image.
+    Return whether coordinates can be fractions of an image.
 
-    Boxes at the border may reach out of the image, but one that lies a whole image away from it
-    was not normalised.
+    Boxes at the border may extend beyond the image, but not by a whole image.
     """
     return all(-1.0 <= value <= 2.0 for value in values)
 
 
 def join_numbers(values: Iterable[float]) -> str:
-    """Join Python floats with spaces, each as the shortest text that reads back as the same."""
+    """Join Python floats with spaces, each as the shortest text that reads back unchanged."""
     return ' '.join(map(repr, values))
 
 
 def write_lines(path: Path, lines: Iterable[str]) -> None:
     """
-    Write lines as UTF-8 with LF ends, making the folders above.
+    Write lines as UTF-8 with LF ends, and make missing folders.
 
-    Whatever fails leaves an older file as it was.
+    If writing fails, an existing file stays as it was.
 
     Raises
     ------

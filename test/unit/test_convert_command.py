@@ -17,10 +17,10 @@ from obbhbb_ros import convert
 from obbhbb_ros.cli import main
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.labels.axis_aligned import convert_image
+from obbhbb_ros.labels.axis_aligned import convert_labels
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import assemble
-from obbhbb_ros.study.convert import convert_image
-from obbhbb_ros.study.convert import convert_labels
 
 TARGETS = [
     ('yolo', 'out'), ('coco', 'out.json'), ('voc', 'out'), ('geojson', 'out.geojson'),
@@ -181,7 +181,7 @@ def test_images_without_ships_are_no_error(source: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ('options', 'message'),
     [
-        (['--to', 'dota'], "'dota' is not for boxes"),
+        (['--to', 'dota'], "cannot write axis-aligned boxes as 'dota': use yolo"),
         (['--to', 'yolo', '--diagnostics'], 'no place for diagnostics'),
         (['--to', 'yolo'], "image 'P1': YOLO needs its size"),
         (['--from', 'labelme', '--to', 'csv'], "unknown label format 'labelme'"),

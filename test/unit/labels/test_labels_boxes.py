@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from obbhbb_ros.converter import Conversion
 from obbhbb_ros.labels import FORMATS
-from obbhbb_ros.labels import ConvertedImage
+from obbhbb_ros.labels import ImageBoxes
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_boxes
 
@@ -40,7 +40,7 @@ def _converted(
     ids: tuple[str, ...] | None = None,
     size: tuple[int, int] | None = (128, 64),
     diagnosed: bool = False,
-) -> ConvertedImage:
+) -> ImageBoxes:
     xyxy = np.array(boxes, dtype=np.float64).reshape(-1, 4)
     count = len(xyxy)
     ones = np.ones(count)
@@ -49,7 +49,7 @@ def _converted(
         diagnostics = Conversion(
             xyxy, ones > 0, 40 * ones, 10 * ones, 0.5 * ones, 0.25 * ones, np.nan * ones, ones > 0
         )
-    return ConvertedImage(
+    return ImageBoxes(
         image,
         xyxy,
         class_ids=('ship', 'tug')[:count],
@@ -243,7 +243,7 @@ def test_what_a_format_cannot_hold_is_refused_and_nothing_written(
     [
         ('out', None, 'name the label format'),
         ('out.pdf', None, 'name the label format'),
-        ('out', 'dota', "'dota' is not for boxes"),
+        ('out', 'dota', "cannot write axis-aligned boxes as 'dota': use yolo"),
         ('out', 'labelme', "unknown label format 'labelme'"),
         ('out.json', 'shapefile', r'ends in \.shp'),
     ],
@@ -270,4 +270,4 @@ def test_a_target_of_no_format_is_refused(
 def test_converted_boxes_are_boxes(field: str, value: object) -> None:
     values = vars(_converted('P1', BOX)) | {field: value}
     with pytest.raises(ValueError, match="image 'P1'"):
-        ConvertedImage(**values)
+        ImageBoxes(**values)

@@ -108,7 +108,7 @@ def test_a_format_that_is_only_read_is_refused(
 ) -> None:
     read_only = replace(FORMATS['dota'], name='read_only', write=None)
     monkeypatch.setitem(FORMATS, 'read_only', read_only)
-    with pytest.raises(ValueError, match=r"'read_only' is read-only: writable are dota"):
+    with pytest.raises(ValueError, match=r"cannot write oriented boxes as 'read_only': use dota"):
         write_labels(tmp_path, [make()], 'read_only')
 
 
