@@ -37,21 +37,19 @@ from obbhbb_ros.labels.documents import image_size_of
 from obbhbb_ros.labels.documents import json_member
 from obbhbb_ros.labels.documents import json_number
 from obbhbb_ros.labels.documents import json_numbers
+from obbhbb_ros.labels.documents import numbered
 from obbhbb_ros.labels.documents import plain_text
 from obbhbb_ros.labels.documents import read_json
 from obbhbb_ros.labels.records import NO_REFERENCE
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import BoxRow
-from obbhbb_ros.labels.records import FileError
 from obbhbb_ros.labels.records import FloatArray
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import ImageSize
 from obbhbb_ros.labels.records import Item
-from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import assemble
-from obbhbb_ros.labels.records import parse_each
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.shapes import Outlined
 from obbhbb_ros.labels.shapes import bounds_of_xywh
 from obbhbb_ros.labels.shapes import enclose
@@ -70,38 +68,31 @@ class _Image(NamedTuple):
     size: ImageSize | None
 
 
-def _read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
-    document = read_json(path)
-    lists = {name: _list(path, document, name) for name in ('images', 'annotations')}
-    if 'categories' in document:
-        lists['categories'] = _list(path, document, 'categories')
-    images = _by_id(path, 'images', lists['images'], _image, on_error)
+def _read(file: LabelFile) -> Iterator[ImageLabels]:
+    document = read_json(file)
+    _check_lists(file, document)
+    images = _by_id(file, 'images', document['images'], _image)
     categories = None
-    if 'categories' in lists:
-        categories = _by_id(path, 'categories', lists['categories'], _category, on_error)
-    parse = partial(_annotation, images, categories)
-    records = parse_each(path, _numbered('annotations', lists['annotations']), parse, on_error)
-    boxes = enclose(path, records, on_error)
+    if 'categories' in document:
+        categories = _by_id(file, 'categories', document['categories'], _category)
+    annotations = numbered('annotations', document['annotations'])
+    records = file.parse_each(annotations, partial(_annotation, images, categories))
+    boxes = enclose(file, records)
     for key, image in images.items():
-        yield assemble(image.name, boxes.get(repr(key), []), image_size or image.size, path)
+        yield file.image(image.name, boxes.get(repr(key), []), image.size)
 
 
-def _list(path: Path, document: Any, name: str) -> list[Any]:
-    if not isinstance(document, dict) or not isinstance(document.get(name), list):
-        raise FileError(path, None, f'not COCO: no array {name!r}')
-    return list(document[name])
-
-
-def _numbered(name: str, records: list[Any]) -> Iterator[tuple[None, str, Any]]:
-    return ((None, f'{name}[{index}]: ', record) for index, record in enumerate(records))
+def _check_lists(file: LabelFile, document: Any) -> None:
+    if not isinstance(document, dict):
+        raise file.error('not COCO: not a JSON object')
+    for name in ('images', 'annotations', 'categories'):
+        optional = name == 'categories' and name not in document
+        if not optional and not isinstance(document.get(name), list):
+            raise file.error(f'not COCO: no array {name!r}')
 
 
 def _by_id(
-    path: Path,
-    name: str,
-    records: list[Any],
-    parse: Callable[[dict[str, Any]], Item],
-    on_error: OnError,
+    file: LabelFile, name: str, records: list[Any], parse: Callable[[dict[str, Any]], Item]
 ) -> dict[Id, Item]:
     found: dict[Id, Item] = {}
 
@@ -111,7 +102,7 @@ def _by_id(
             raise ValueError(f'id {key!r} is there already')
         return key, parse(record)
 
-    for _, _, (key, item) in parse_each(path, _numbered(name, records), parse_new, on_error):
+    for _, _, (key, item) in file.parse_each(numbered(name, records), parse_new):
         found[key] = item
     return found
 
@@ -236,15 +227,11 @@ def _annotation_record(
     }
 
 
-def _sniff(head: str) -> bool:
-    return any(mark in head for mark in MARKS)
-
-
 FORMAT = Format(
     name='coco',
     suffixes=('.json',),
     summary='COCO JSON of many images: polygon segmentation, bbox as reference box',
-    sniff=_sniff,
+    sniff=lambda head: any(mark in head for mark in MARKS),
     read=_read,
     write_boxes=_write_boxes,
     holds_diagnostics=True,

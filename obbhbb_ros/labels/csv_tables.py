@@ -46,26 +46,22 @@ from obbhbb_ros.labels.records import MIN_HULL_POINTS
 from obbhbb_ros.labels.records import NO_REFERENCE
 from obbhbb_ros.labels.records import AnyImage
 from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import FileError
 from obbhbb_ros.labels.records import FloatArray
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import ImageSize
 from obbhbb_ros.labels.records import Item
-from obbhbb_ros.labels.records import OnError
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.records import Value
-from obbhbb_ros.labels.records import assemble_all
-from obbhbb_ros.labels.records import parse_each
 from obbhbb_ros.labels.shapes import Outlined
 from obbhbb_ros.labels.shapes import check_coordinates
 from obbhbb_ros.labels.shapes import enclose
 from obbhbb_ros.labels.shapes import feature_record
 from obbhbb_ros.labels.shapes import outer_rings
 from obbhbb_ros.labels.shapes import upright_corners
+from obbhbb_ros.labels.text import filled_lines
 from obbhbb_ros.labels.text import join_numbers
 from obbhbb_ros.labels.text import parse_numbers
-from obbhbb_ros.labels.text import text_lines
 from obbhbb_ros.labels.text import write_lines
 
 CORNERS = ('x1', 'y1', 'x2', 'y2', 'x3', 'y3', 'x4', 'y4')
@@ -78,36 +74,36 @@ GEOMETRY = ('wkt', 'geometry', 'geom', 'the_geom')
 SRID = re.compile(r'\s*SRID\s*=\s*\d+\s*;', re.IGNORECASE)
 
 
-def _read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
+def _read(file: LabelFile) -> Iterator[ImageLabels]:
     images: dict[str, list[Box]] = {}
-    for _, _, (image, box) in _read_rows(path, on_error, _row_parser):
+    for _, _, (image, box) in _read_rows(file, _row_parser):
         boxes = images.setdefault(image, [])
         if box is not None:
             boxes.append(box)
-    return assemble_all(images, image_size, path)
+    return file.images(images)
 
 
-def _read_wkt(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
-    records = _read_rows(path, on_error, partial(_wkt_row_parser, path.stem))
-    return assemble_all(enclose(path, records, on_error), image_size, path)
+def _read_wkt(file: LabelFile) -> Iterator[ImageLabels]:
+    records = _read_rows(file, partial(_wkt_row_parser, file.path.stem))
+    return file.images(enclose(file, records))
 
 
 def _read_rows(
-    path: Path, on_error: OnError, parser_for: Callable[[list[str]], Callable[[list[str]], Item]]
+    file: LabelFile, parser_for: Callable[[list[str]], Callable[[list[str]], Item]]
 ) -> Iterator[tuple[int | None, str, Item]]:
     """
-    Parse the rows below a header, one line each, see `parse_each`.
+    Parse the rows below a header, one line each, see `LabelFile.parse_each`.
 
     `parser_for` turns the column names into a function that parses the fields of a row. Both raise
     ValueError if they cannot use what they get.
     """
-    lines = ((number, '', line) for number, line in text_lines(path, on_error) if line.strip())
+    lines = filled_lines(file)
     number, _, header = next(lines, (None, '', ''))
     try:
         columns = [column.strip() for column in _split_row(header)]
         parse = parser_for(columns)
     except ValueError as error:
-        raise FileError(path, number, str(error)) from None
+        raise file.error(str(error), number) from None
 
     def parse_line(line: str) -> Item:
         fields = _split_row(line)
@@ -115,7 +111,7 @@ def _read_rows(
             raise ValueError(f'{len(fields)} fields, the header has {len(columns)}')
         return parse(fields)
 
-    return parse_each(path, lines, parse_line, on_error)
+    return file.parse_each(lines, parse_line)
 
 
 def _split_row(line: str) -> list[str]:

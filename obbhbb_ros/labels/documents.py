@@ -6,18 +6,17 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 from xml.etree.ElementTree import TreeBuilder
 from xml.parsers import expat
 
 from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import FileError
 from obbhbb_ros.labels.records import ImageSize
-from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import parse_each
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.text import parse_numbers
 
 # The parser goes on to the end of a block after a handler has raised.
@@ -25,18 +24,14 @@ BLOCK_BYTES = 65536
 
 
 def read_xml_boxes(
-    path: Path,
-    root_tag: str,
-    objects: str,
-    parse: Callable[[Element], Box],
-    on_error: OnError,
+    file: LabelFile, root_tag: str, objects: str, parse: Callable[[Element], Box]
 ) -> tuple[Element, list[Box]]:
     """
     Read an XML file with one element per box.
 
     Parameters
     ----------
-    path : Path
+    file : LabelFile
         The file. A document type declaration is refused: label files have none, and its entities
         may expand to gigabytes or name other files.
     root_tag : str
@@ -45,8 +40,6 @@ def read_xml_boxes(
         Path of the objects below the root.
     parse : callable
         Element to Box; raises ValueError if it is malformed.
-    on_error : callable
-        Gets a LabelError with line and number of each malformed object, which is left out.
 
     Returns
     -------
@@ -60,19 +53,19 @@ def read_xml_boxes(
     OSError
         If the file cannot be read.
     """
-    root, lines = _parse_xml(path)
+    root, lines = _parse_xml(file)
     if root.tag != root_tag:
-        raise FileError(path, lines[root], f'the root is <{root.tag}>, expected <{root_tag}>')
+        raise file.error(f'the root is <{root.tag}>, expected <{root_tag}>', lines[root])
     records = (
         (lines[element], f'object {number}: ', element)
         for number, element in enumerate(root.findall(objects), start=1)
     )
-    return root, [box for _, _, box in parse_each(path, records, parse, on_error)]
+    return root, [box for _, _, box in file.parse_each(records, parse)]
 
 
-def _parse_xml(path: Path) -> tuple[Element, dict[Element, int]]:
+def _parse_xml(file: LabelFile) -> tuple[Element, dict[Element, int]]:
     """Parse an XML file; also return the line that each element begins in."""
-    data = path.read_bytes()
+    data = file.path.read_bytes()
     builder = TreeBuilder()
     lines: dict[Element, int] = {}
     parser = expat.ParserCreate()
@@ -93,11 +86,10 @@ def _parse_xml(path: Path) -> tuple[Element, dict[Element, int]]:
             parser.Parse(data[begin : begin + BLOCK_BYTES], False)
         parser.Parse(b'', True)
     except expat.ExpatError as error:
-        message = f'not XML: {expat.ErrorString(error.code)}'
-        raise FileError(path, error.lineno, message) from None
+        raise file.error(f'not XML: {expat.ErrorString(error.code)}', error.lineno) from None
     except (ValueError, LookupError) as error:
         # An encoding that Python cannot supply to the parser is a LookupError or a ValueError.
-        raise FileError(path, parser.CurrentLineNumber, str(error)) from None
+        raise file.error(str(error), parser.CurrentLineNumber) from None
     return builder.close(), lines
 
 
@@ -146,14 +138,14 @@ def image_size_of(width: object, height: object) -> ImageSize | None:
     return (sides[0], sides[1]) if min(sides) > 0 else None
 
 
-def read_json(path: Path, shorten: Callable[[dict[str, Any]], Any] | None = None) -> Any:
+def read_json(file: LabelFile, shorten: Callable[[dict[str, Any]], Any] | None = None) -> Any:
     """
-    Parse a JSON file.
+    Parse a JSON file, UTF-8 with or without BOM.
 
     Parameters
     ----------
-    path : Path
-        The file, UTF-8 with or without BOM.
+    file : LabelFile
+        The file.
     shorten : callable, optional
         Called with each JSON object as soon as it is complete; its result replaces the object.
 
@@ -169,15 +161,20 @@ def read_json(path: Path, shorten: Callable[[dict[str, Any]], Any] | None = None
     OSError
         If the file cannot be read.
     """
-    data = path.read_bytes()
+    data = file.path.read_bytes()
     try:
         return json.loads(data.decode('utf-8-sig'), object_hook=shorten)
     except json.JSONDecodeError as error:
-        raise FileError(path, error.lineno, f'not JSON: {error.msg}') from None
+        raise file.error(f'not JSON: {error.msg}', error.lineno) from None
     except RecursionError:
-        raise FileError(path, None, 'not a label file: JSON nested too deeply') from None
+        raise file.error('not a label file: JSON nested too deeply') from None
     except ValueError as error:
-        raise FileError(path, None, f'not JSON: {error}') from None
+        raise file.error(f'not JSON: {error}') from None
+
+
+def numbered(name: str, records: Iterable[Any]) -> Iterator[tuple[None, str, Any]]:
+    """Give records, for `LabelFile.parse_each`, a place: their number from 0."""
+    return ((None, f'{name}[{index}]: ', record) for index, record in enumerate(records))
 
 
 def json_member(record: object, name: str) -> Any:

@@ -16,16 +16,13 @@ The format has no ids, scores, hulls or reference boxes: these are not written.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 from obbhbb_ros.labels.files import write_each
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import ImageSize
-from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import assemble
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.text import is_index
 from obbhbb_ros.labels.text import is_normalised
 from obbhbb_ros.labels.text import is_number
@@ -38,8 +35,8 @@ FIELDS = 'x1 y1 x2 y2 x3 y3 x4 y4 category [difficulty]'
 COUNTS = (9, 10)
 
 
-def _read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
-    yield assemble(path.stem, read_boxes(path, on_error, _parse), image_size, path)
+def _read(file: LabelFile) -> list[ImageLabels]:
+    return [file.image(file.path.stem, read_boxes(file, _parse))]
 
 
 def _parse(line: str) -> Box | None:

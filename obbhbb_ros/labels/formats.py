@@ -30,6 +30,7 @@ from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import ImageSize
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.records import OnError
 from obbhbb_ros.labels.records import names
 from obbhbb_ros.labels.records import raise_error
@@ -218,7 +219,7 @@ def _read_files(
 ) -> Iterator[ImageLabels]:
     for file in files:
         try:
-            yield from chosen.read(file, size, on_error)
+            yield from chosen.read(LabelFile(file, size, on_error))
         except FileError as error:
             on_error(error)
 

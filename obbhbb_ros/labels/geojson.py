@@ -26,16 +26,13 @@ from typing import Any
 
 from obbhbb_ros.files import write_pieces
 from obbhbb_ros.labels.documents import json_member
+from obbhbb_ros.labels.documents import numbered
 from obbhbb_ros.labels.documents import read_json
-from obbhbb_ros.labels.records import FileError
 from obbhbb_ros.labels.records import FloatArray
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import ImageSize
-from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import assemble_all
-from obbhbb_ros.labels.records import parse_each
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.shapes import Outlined
 from obbhbb_ros.labels.shapes import box_features
 from obbhbb_ros.labels.shapes import enclose
@@ -46,11 +43,10 @@ MARKS = ('"FeatureCollection"', '"Feature"')
 POLYGONS = ('Polygon', 'MultiPolygon')
 
 
-def _read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
-    features = _numbered(_features(path, read_json(path, _shorten)))
-    records = parse_each(path, features, partial(_record, path.stem), on_error)
-    images = enclose(path, records, on_error) or {path.stem: []}
-    return assemble_all(images, image_size, path)
+def _read(file: LabelFile) -> Iterator[ImageLabels]:
+    features = numbered('features', _released(_features(file, read_json(file, _shorten))))
+    records = file.parse_each(features, partial(_record, file.path.stem))
+    return file.images(enclose(file, records) or {file.path.stem: []})
 
 
 def _shorten(member: dict[str, Any]) -> dict[str, Any]:
@@ -73,20 +69,20 @@ def _outer_rings(geometry: dict[str, Any]) -> list[FloatArray]:
     return [ring_of(polygon[0]) for polygon in polygons if polygon]
 
 
-def _features(path: Path, document: Any) -> list[Any]:
+def _features(file: LabelFile, document: Any) -> list[Any]:
     kind = document.get('type') if isinstance(document, dict) else None
     if kind == 'Feature':
         return [document]
     if kind != 'FeatureCollection' or not isinstance(document.get('features'), list):
-        raise FileError(path, None, 'not GeoJSON: no FeatureCollection with an array of features')
+        raise file.error('not GeoJSON: no FeatureCollection with an array of features')
     return list(document['features'])
 
 
-def _numbered(features: list[Any]) -> Iterator[tuple[None, str, Any]]:
+def _released(features: list[Any]) -> Iterator[Any]:
+    """Release each feature as its record is made, so that a large file is held once."""
     for index, feature in enumerate(features):
-        # A large file is held once: each feature is released as its record is made.
         features[index] = None
-        yield None, f'features[{index}]: ', feature
+        yield feature
 
 
 def _record(default_image: str, feature: object) -> Outlined:
@@ -128,15 +124,11 @@ def _polygon(x_min: float, y_min: float, x_max: float, y_max: float) -> dict[str
     return {'type': 'Polygon', 'coordinates': [ring]}
 
 
-def _sniff(head: str) -> bool:
-    return any(mark in head for mark in MARKS)
-
-
 FORMAT = Format(
     name='geojson',
     suffixes=('.geojson', '.json'),
     summary='GeoJSON features of polygons, with properties image, class, score, id',
-    sniff=_sniff,
+    sniff=lambda head: any(mark in head for mark in MARKS),
     read=_read,
     write_boxes=_write_boxes,
     holds_diagnostics=True,

@@ -20,8 +20,6 @@ An image without a file name or id is named after the label file.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from obbhbb_ros.labels.documents import has_any
@@ -33,9 +31,7 @@ from obbhbb_ros.labels.records import NO_REFERENCE
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import ImageSize
-from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import assemble
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.shapes import oriented_corners
 from obbhbb_ros.labels.shapes import upright_corners
 
@@ -44,11 +40,10 @@ ORIENTED = ('mbox_cx', 'mbox_cy', 'mbox_w', 'mbox_h', 'mbox_ang')
 BOUNDS = ('box_xmin', 'box_ymin', 'box_xmax', 'box_ymax')
 
 
-def _read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
-    root, boxes = read_xml_boxes(path, ROOT, 'HRSC_Objects/HRSC_Object', _parse, on_error)
-    own_size = image_size_of(xml_text(root, 'Img_SizeWidth'), xml_text(root, 'Img_SizeHeight'))
-    name = xml_text(root, 'Img_FileName', 'Img_ID') or path.stem
-    yield assemble(name, boxes, image_size or own_size, path)
+def _read(file: LabelFile) -> list[ImageLabels]:
+    root, boxes = read_xml_boxes(file, ROOT, 'HRSC_Objects/HRSC_Object', _parse)
+    size = image_size_of(xml_text(root, 'Img_SizeWidth'), xml_text(root, 'Img_SizeHeight'))
+    return [file.image(xml_text(root, 'Img_FileName', 'Img_ID') or file.path.stem, boxes, size)]
 
 
 def _parse(element: Element) -> Box:
@@ -65,14 +60,10 @@ def _parse(element: Element) -> Box:
     )
 
 
-def _sniff(head: str) -> bool:
-    return f'<{ROOT}' in head
-
-
 FORMAT = Format(
     name='hrsc',
     suffixes=('.xml',),
     summary='HRSC2016 XML, one file per image: mbox_cx … mbox_ang and box_xmin … of each ship',
-    sniff=_sniff,
+    sniff=lambda head: f'<{ROOT}' in head,
     read=_read,
 )

@@ -234,38 +234,62 @@ class Box(NamedTuple):
     hull: FloatArray | None = None
 
 
-def parse_each(
-    path: Path,
-    records: Iterable[tuple[int | None, str, Any]],
-    parse: Callable[[Any], Item],
-    on_error: OnError,
-) -> Iterator[tuple[int | None, str, Item]]:
+@dataclass(frozen=True)
+class LabelFile:
     """
-    Parse the records of a file one by one; a malformed one costs no other.
+    A label file that is being read.
 
-    Parameters
+    Attributes
     ----------
     path : Path
         The file.
-    records : iterable of (int or None, str, record)
-        Line of each record where known, what to put before an error message, and the record.
-    parse : callable
-        Gets the record; raises ValueError if it is malformed.
+    image_size : tuple of int or None
+        Width and height of every image in pixels, as the caller gave it.
     on_error : callable
         Gets a LabelError for each malformed record, which is left out.
-
-    Yields
-    ------
-    int or None, str, item
-        Line and place as given, and what `parse` returned.
     """
-    for line, place, record in records:
-        try:
-            item = parse(record)
-        except ValueError as error:
-            on_error(LabelError(path, line, f'{place}{error}'))
-        else:
-            yield line, place, item
+
+    path: Path
+    image_size: ImageSize | None
+    on_error: OnError
+
+    def error(self, message: str, line: int | None = None) -> FileError:
+        """Make the error to raise if the file as a whole cannot be used."""
+        return FileError(self.path, line, message)
+
+    def parse_each(
+        self, records: Iterable[tuple[int | None, str, Any]], parse: Callable[[Any], Item]
+    ) -> Iterator[tuple[int | None, str, Item]]:
+        """
+        Parse records one by one; a malformed one costs no other.
+
+        Parameters
+        ----------
+        records : iterable of (int or None, str, record)
+            Line of each record where known, what to put before an error message, and the record.
+        parse : callable
+            Gets the record; raises ValueError if it is malformed.
+
+        Yields
+        ------
+        int or None, str, item
+            Line and place as given, and what `parse` returned.
+        """
+        for line, place, record in records:
+            try:
+                item = parse(record)
+            except ValueError as error:
+                self.on_error(LabelError(self.path, line, f'{place}{error}'))
+            else:
+                yield line, place, item
+
+    def image(self, name: str, boxes: Sequence[Box], size: ImageSize | None = None) -> ImageLabels:
+        """Gather the boxes of an image; `size` is the one in the file, unless one was given."""
+        return assemble(name, boxes, self.image_size or size, self.path)
+
+    def images(self, boxes: Mapping[str, Sequence[Box]]) -> Iterator[ImageLabels]:
+        """Gather the boxes of images by name."""
+        return (self.image(name, each) for name, each in boxes.items())
 
 
 def assemble(
@@ -303,13 +327,6 @@ def assemble(
     )
 
 
-def assemble_all(
-    images: Mapping[str, Sequence[Box]], size: ImageSize | None, source: Path
-) -> Iterator[ImageLabels]:
-    """Gather the records of the images of a file, see `assemble`."""
-    return (assemble(image, boxes, size, source) for image, boxes in images.items())
-
-
 def _array(values: Sequence[object], shape: tuple[int, ...]) -> FloatArray:
     return np.array(values, dtype=np.float64).reshape(shape)
 
@@ -331,10 +348,8 @@ class Format:
         ``sniff(head)``: whether the beginning of a file looks like this format, and like no other
         one with the same suffix.
     read : callable
-        ``read(path, image_size, on_error)`` yields the `ImageLabels` of one file, an image with
-        the width and height given (None: as the file says). It passes a LabelError for each
-        malformed record to `on_error`, goes on without the record, and raises a FileError if the
-        file as a whole cannot be used.
+        ``read(file)`` returns the images of a `LabelFile`. It passes malformed records to its
+        `on_error`, and raises its `error` if the file as a whole cannot be used.
     write : callable or None
         ``write(path, images)`` writes a list of checked `ImageLabels`: to a file or, in formats
         with one file per image, to a folder. It raises ValueError, before it writes anything,
@@ -349,7 +364,7 @@ class Format:
     suffixes: tuple[str, ...]
     summary: str
     sniff: Callable[[str], bool]
-    read: Callable[[Path, ImageSize | None, OnError], Iterator[ImageLabels]]
+    read: Callable[[LabelFile], Iterable[ImageLabels]]
     write: Callable[[Path, list[ImageLabels]], None] | None = None
     write_boxes: Callable[[Path, list[ImageBoxes]], None] | None = None
     holds_diagnostics: bool = False

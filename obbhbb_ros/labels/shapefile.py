@@ -22,14 +22,10 @@ import shapely
 
 from obbhbb_ros.files import replacing_all
 from obbhbb_ros.labels.records import DIAGNOSTICS
-from obbhbb_ros.labels.records import FileError
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import ImageSize
-from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import assemble_all
-from obbhbb_ros.labels.records import parse_each
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.shapes import Outlined
 from obbhbb_ros.labels.shapes import box_features
 from obbhbb_ros.labels.shapes import enclose
@@ -43,17 +39,16 @@ FILE_CODE = '\x00\x00\x27\x0a'
 MAX_TEXT_BYTES = 254
 
 
-def _read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
-    frame = _frame(path)
+def _read(file: LabelFile) -> Iterator[ImageLabels]:
+    frame = _frame(file)
     fields = frame.drop(columns='geometry', errors='ignore').to_dict('records')
     geometries = frame.geometry if 'geometry' in frame else [None] * len(fields)
     features = (
         (None, f'feature {index}: ', feature)
         for index, feature in enumerate(zip(fields, geometries, strict=True))
     )
-    records = parse_each(path, features, partial(_record, path.stem), on_error)
-    images = enclose(path, records, on_error) or {path.stem: []}
-    return assemble_all(images, image_size, path)
+    records = file.parse_each(features, partial(_record, file.path.stem))
+    return file.images(enclose(file, records) or {file.path.stem: []})
 
 
 def _record(default_image: str, feature: tuple[dict[str, Any], Any]) -> Outlined:
@@ -61,16 +56,16 @@ def _record(default_image: str, feature: tuple[dict[str, Any], Any]) -> Outlined
     return feature_record(default_image, properties, outer_rings(geometry))
 
 
-def _frame(path: Path) -> Any:
+def _frame(file: LabelFile) -> Any:
     import geopandas
 
     try:
-        return geopandas.read_file(path)
+        return geopandas.read_file(file.path)
     except ImportError:
         raise
     except Exception as error:
         # As wide as that because the two engines of GeoPandas raise errors of many kinds.
-        raise FileError(path, None, f'not a shapefile: {error}') from error
+        raise file.error(f'not a shapefile: {error}') from error
 
 
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
@@ -120,15 +115,11 @@ def _columns(properties: list[dict[str, Any]]) -> dict[str, Any]:
     return columns
 
 
-def _sniff(head: str) -> bool:
-    return head.startswith(FILE_CODE)
-
-
 FORMAT = Format(
     name='shapefile',
     suffixes=('.shp',),
     summary='ESRI shapefile of polygons, with fields image, class, score, id (extra `geo`)',
-    sniff=_sniff,
+    sniff=lambda head: head.startswith(FILE_CODE),
     read=_read,
     write_boxes=_write_boxes,
     holds_diagnostics=True,

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
 from itertools import islice
-from pathlib import Path
 from typing import Any
 from typing import NamedTuple
 
@@ -27,7 +26,7 @@ from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import FloatArray
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import LabelError
-from obbhbb_ros.labels.records import OnError
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.text import parse_numbers
 
 Corners = tuple[float, float, float, float, float, float, float, float]
@@ -253,7 +252,7 @@ def _first(properties: Mapping[str, Any], names: Sequence[str]) -> str:
 
 
 def enclose(
-    path: Path, records: Iterable[tuple[int | None, str, Outlined]], on_error: OnError
+    file: LabelFile, records: Iterable[tuple[int | None, str, Outlined]]
 ) -> dict[str, list[Box]]:
     """
     Lay the minimum rotated rectangle around the rings of each record.
@@ -264,13 +263,11 @@ def enclose(
 
     Parameters
     ----------
-    path : Path
-        The file of the records.
+    file : LabelFile
+        The file. Gets an error for each record whose rings have no rectangle; it is left out.
     records : iterable of (int or None, str, Outlined)
-        Line, what to put before an error message, and the record, as from `parse_each`. Of a large
-        file only a block of rings is held at a time.
-    on_error : callable
-        Gets a LabelError for each record whose rings have no rectangle; it is left out.
+        Line, what to put before an error message, and the record, as from `LabelFile.parse_each`.
+        Only a block of rings is held at a time.
 
     Returns
     -------
@@ -280,13 +277,13 @@ def enclose(
     images: dict[str, list[Box]] = {}
     remaining = iter(records)
     while block := list(islice(remaining, BLOCK)):
-        for image, box in _enclosed(path, block, on_error):
+        for image, box in _enclosed(file, block):
             images.setdefault(image, []).append(box)
     return images
 
 
 def _enclosed(
-    path: Path, block: Sequence[tuple[int | None, str, Outlined]], on_error: OnError
+    file: LabelFile, block: Sequence[tuple[int | None, str, Outlined]]
 ) -> Iterator[tuple[str, Box]]:
     drawn = [record for _, _, record in block if record.rings]
     with np.errstate(over='ignore', invalid='ignore'):
@@ -296,7 +293,8 @@ def _enclosed(
     for line, place, record in block:
         defect, corners = next(found) if record.rings else (Defect.NONE, record.box.corners)
         if defect != Defect.NONE:
-            on_error(LabelError(path, line, f'{place}{PROBLEMS[Defect(defect)]}'))
+            message = f'{place}{PROBLEMS[Defect(defect)]}'
+            file.on_error(LabelError(file.path, line, message))
         elif record.rings:
             yield record.image, next(complete)._replace(corners=corners)
         else:

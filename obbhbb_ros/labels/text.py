@@ -13,8 +13,8 @@ from pathlib import Path
 from obbhbb_ros.files import write_pieces
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import LabelError
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import parse_each
 
 
 def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
@@ -51,16 +51,14 @@ def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
             yield number, line
 
 
-def read_boxes(path: Path, on_error: OnError, parse: Callable[[str], Box | None]) -> list[Box]:
+def read_boxes(file: LabelFile, parse: Callable[[str], Box | None]) -> list[Box]:
     """
     Parse a file with one record per line; blank lines are ignored.
 
     Parameters
     ----------
-    path : Path
+    file : LabelFile
         The file.
-    on_error : callable
-        Gets a LabelError for each malformed line, which is left out.
     parse : callable
         Gets the line; returns a Box, or None if the line holds no box. Raises ValueError if it is
         malformed.
@@ -70,9 +68,14 @@ def read_boxes(path: Path, on_error: OnError, parse: Callable[[str], Box | None]
     list of Box
         In the order of the file.
     """
-    lines = ((number, '', line) for number, line in text_lines(path, on_error) if line.strip())
-    boxes = (box for _, _, box in parse_each(path, lines, parse, on_error))
+    boxes = (box for _, _, box in file.parse_each(filled_lines(file), parse))
     return [box for box in boxes if box is not None]
+
+
+def filled_lines(file: LabelFile) -> Iterator[tuple[int, str, str]]:
+    """Read the lines that are not blank, as `LabelFile.parse_each` takes them."""
+    lines = text_lines(file.path, file.on_error)
+    return ((number, '', line) for number, line in lines if line.strip())
 
 
 def parse_numbers(fields: Iterable[str]) -> list[float]:

@@ -24,7 +24,6 @@ written if it is known. The format has no ids and scores: these are not written.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
@@ -42,9 +41,7 @@ from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import ImageSize
-from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import assemble
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.shapes import oriented_corners
 from obbhbb_ros.labels.shapes import upright_corners
 
@@ -58,10 +55,10 @@ CORNERS = (
 NOT_IN_XML = re.compile('[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]')
 
 
-def _read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
-    root, boxes = read_xml_boxes(path, ROOT, 'object', _parse, on_error)
-    own_size = image_size_of(xml_text(root, 'size/width'), xml_text(root, 'size/height'))
-    yield assemble(path.stem, boxes, image_size or own_size, path)
+def _read(file: LabelFile) -> list[ImageLabels]:
+    root, boxes = read_xml_boxes(file, ROOT, 'object', _parse)
+    size = image_size_of(xml_text(root, 'size/width'), xml_text(root, 'size/height'))
+    return [file.image(file.path.stem, boxes, size)]
 
 
 def _parse(element: Element) -> Box:
@@ -111,15 +108,11 @@ def _add(parent: Element, **texts: str) -> None:
         SubElement(parent, tag).text = text
 
 
-def _sniff(head: str) -> bool:
-    return re.search(f'<{ROOT}[ >]', head) is not None
-
-
 FORMAT = Format(
     name='voc',
     suffixes=('.xml',),
     summary='Pascal-VOC XML, one file per image: bndbox, and robndbox of roLabelImg and DIOR-R',
-    sniff=_sniff,
+    sniff=lambda head: re.search(f'<{ROOT}[ >]', head) is not None,
     read=_read,
     write_boxes=_write_boxes,
 )

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Iterable
-from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -41,8 +40,7 @@ from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import ImageSize
 from obbhbb_ros.labels.records import LabelError
-from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import assemble
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.records import raise_error
 from obbhbb_ros.labels.shapes import bounds_of_xywh
 from obbhbb_ros.labels.shapes import upright_corners
@@ -103,29 +101,28 @@ def _parse_class(field: str, names: Sequence[str]) -> str:
     return names[index]
 
 
-def _read(
-    parse: Parse, path: Path, image_size: ImageSize | None, on_error: OnError
-) -> Iterator[ImageLabels]:
+def _read(parse: Parse, file: LabelFile) -> list[ImageLabels]:
     try:
-        names = _class_names(path.parent)
+        names = _class_names(file.path.parent)
     except LabelError as error:
         raise FileError(*error.args) from None
-    boxes = read_boxes(path, on_error, lambda line: parse(line, names))
-    size = image_size or _size_in_image_file(path, needed=bool(boxes))
-    labels = assemble(path.stem, boxes, size, path)
+    boxes = read_boxes(file, lambda line: parse(line, names))
+    size = file.image_size or _stored_size(file, needed=bool(boxes))
+    labels = file.image(file.path.stem, boxes, size)
     scale = np.array(size or (1, 1), dtype=np.float64)
-    yield replace(
-        labels, corners=labels.corners * scale, reference=labels.reference * np.tile(scale, 2)
-    )
+    return [
+        replace(
+            labels, corners=labels.corners * scale, reference=labels.reference * np.tile(scale, 2)
+        )
+    ]
 
 
-def _size_in_image_file(path: Path, needed: bool) -> ImageSize | None:
+def _stored_size(file: LabelFile, needed: bool) -> ImageSize | None:
     try:
-        return stored_size(path)
+        return stored_size(file.path)
     except LabelError as error:
         if needed:
-            message = f'{error.message}: pass image_size=(width, height)'
-            raise FileError(path, None, message) from None
+            raise file.error(f'{error.message}: pass image_size=(width, height)') from None
         return None
 
 
