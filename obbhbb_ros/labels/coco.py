@@ -33,6 +33,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from obbhbb_ros.labels import shapes
+from obbhbb_ros.labels import text
 from obbhbb_ros.labels.documents import image_size_of
 from obbhbb_ros.labels.documents import json_member
 from obbhbb_ros.labels.documents import json_number
@@ -50,12 +52,6 @@ from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import ImageSize
 from obbhbb_ros.labels.records import Item
 from obbhbb_ros.labels.records import LabelFile
-from obbhbb_ros.labels.shapes import Outlined
-from obbhbb_ros.labels.shapes import bounds_of_xywh
-from obbhbb_ros.labels.shapes import enclose
-from obbhbb_ros.labels.shapes import upright_corners
-from obbhbb_ros.labels.text import is_index
-from obbhbb_ros.labels.text import write_lines
 
 MARKS = ('"annotations"', '"images"', '"categories"', '"licenses"')
 
@@ -77,7 +73,7 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
         categories = _by_id(file, 'categories', document['categories'], _category)
     annotations = numbered('annotations', document['annotations'])
     records = file.parse_each(annotations, partial(_annotation, images, categories))
-    boxes = enclose(file, records)
+    boxes = shapes.enclose(file, records)
     for key, image in images.items():
         yield file.image(image.name, boxes.get(repr(key), []), image.size)
 
@@ -134,7 +130,7 @@ def _category(record: dict[str, Any]) -> str:
 
 def _annotation(
     images: Collection[Id], categories: Mapping[Id, str] | None, annotation: dict[str, Any]
-) -> Outlined:
+) -> shapes.Outlined:
     image = repr(_known_id(annotation, 'image_id', images))
     if categories is None:
         class_id = plain_text(_id(annotation, 'category_id'))
@@ -150,16 +146,16 @@ def _annotation(
     )
     rings = _rings(annotation.get('segmentation'))
     if rings:
-        return Outlined(image, box, rings)
+        return shapes.Outlined(image, box, rings)
     if box.reference is NO_REFERENCE:
         raise ValueError("neither 'segmentation' nor 'bbox'")
-    return Outlined(image, box._replace(corners=upright_corners(box.reference)))
+    return shapes.Outlined(image, box._replace(corners=shapes.upright_corners(box.reference)))
 
 
 def _reference(bbox: object) -> tuple[float, ...]:
     if bbox is None:
         return NO_REFERENCE
-    return tuple(bounds_of_xywh(*json_numbers(bbox, 4, 'bbox')))
+    return tuple(shapes.bounds_of_xywh(*json_numbers(bbox, 4, 'bbox')))
 
 
 def _rings(segmentation: object) -> list[FloatArray]:
@@ -185,7 +181,7 @@ def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
         'categories': [{'id': number, 'name': name} for number, name in enumerate(names, start=1)],
         'annotations': _annotation_records(images, names),
     }
-    write_lines(path, [json.dumps(document, ensure_ascii=False, allow_nan=False)])
+    text.write_lines(path, [json.dumps(document, ensure_ascii=False, allow_nan=False)])
 
 
 def _image_record(number: int, image: ImageBoxes) -> dict[str, object]:
@@ -197,7 +193,7 @@ def _annotation_records(images: list[ImageBoxes], names: list[str]) -> list[dict
     categories = {name: number for number, name in enumerate(names, start=1)}
     scored = any(np.any(image.scores != 1.0) for image in images)
     given = [instance for image in images for instance in image.ids]
-    keep = all(map(is_index, given)) and len(set(map(int, given))) == len(given)
+    keep = all(map(text.is_index, given)) and len(set(map(int, given))) == len(given)
     records: list[dict[str, Any]] = []
     for image_id, image in enumerate(images, start=1):
         for box in image.rows():

@@ -41,6 +41,8 @@ from pathlib import Path
 import numpy as np
 import shapely
 
+from obbhbb_ros.labels import shapes
+from obbhbb_ros.labels import text
 from obbhbb_ros.labels.records import DIAGNOSTICS
 from obbhbb_ros.labels.records import MIN_HULL_POINTS
 from obbhbb_ros.labels.records import NO_REFERENCE
@@ -53,16 +55,6 @@ from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import Item
 from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.records import Value
-from obbhbb_ros.labels.shapes import Outlined
-from obbhbb_ros.labels.shapes import check_coordinates
-from obbhbb_ros.labels.shapes import enclose
-from obbhbb_ros.labels.shapes import feature_record
-from obbhbb_ros.labels.shapes import outer_rings
-from obbhbb_ros.labels.shapes import upright_corners
-from obbhbb_ros.labels.text import filled_lines
-from obbhbb_ros.labels.text import join_numbers
-from obbhbb_ros.labels.text import parse_numbers
-from obbhbb_ros.labels.text import write_lines
 
 CORNERS = ('x1', 'y1', 'x2', 'y2', 'x3', 'y3', 'x4', 'y4')
 REFERENCE = ('hx1', 'hy1', 'hx2', 'hy2')
@@ -85,7 +77,7 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
 
 def _read_wkt(file: LabelFile) -> Iterator[ImageLabels]:
     records = _read_rows(file, partial(_wkt_row_parser, file.path.stem))
-    return file.images(enclose(file, records))
+    return file.images(shapes.enclose(file, records))
 
 
 def _read_rows(
@@ -97,7 +89,7 @@ def _read_rows(
     `parser_for` turns the column names into a function that parses the fields of a row. Both raise
     ValueError if they cannot use what they get.
     """
-    lines = filled_lines(file)
+    lines = text.filled_lines(file)
     number, _, header = next(lines, (None, '', ''))
     try:
         columns = [column.strip() for column in _split_row(header)]
@@ -150,16 +142,16 @@ def _parse_row(
     if sum(map(bool, fields)) == 1:
         return row['image'], None
     score = row.get('score')
-    corners: Sequence[float] = parse_numbers([row[column] for column in shape])
+    corners: Sequence[float] = text.parse_numbers([row[column] for column in shape])
     reference = _parse_reference(row)
     if shape is BOUNDS:
         reference = corners if reference is NO_REFERENCE else reference
-        corners = upright_corners(corners)
+        corners = shapes.upright_corners(corners)
     box = Box(
         corners=corners,
         class_id=row['class'],
         id=row['instance'],
-        score=parse_numbers([score])[0] if score else 1.0,
+        score=text.parse_numbers([score])[0] if score else 1.0,
         reference=reference,
         hull=_parse_hull(row.get('mask', '')),
     )
@@ -168,7 +160,7 @@ def _parse_row(
 
 def _parse_reference(row: Mapping[str, str]) -> Sequence[float]:
     fields = [row.get(column, '') for column in REFERENCE]
-    return parse_numbers(fields) if any(fields) else NO_REFERENCE
+    return text.parse_numbers(fields) if any(fields) else NO_REFERENCE
 
 
 def _parse_hull(field: str) -> FloatArray | None:
@@ -177,34 +169,34 @@ def _parse_hull(field: str) -> FloatArray | None:
     points = [point.split() for point in field.split(';')]
     if len(points) < MIN_HULL_POINTS or any(len(point) != 2 for point in points):
         raise ValueError("mask is not a polygon 'x y;x y;x y', three points or more")
-    numbers = parse_numbers([number for point in points for number in point])
+    numbers = text.parse_numbers([number for point in points for number in point])
     hull = np.array(numbers, dtype=np.float64).reshape(-1, 2)
-    check_coordinates(hull)
+    shapes.check_coordinates(hull)
     return hull
 
 
 def _wkt_row_parser(
     default_image: str, columns: list[str]
-) -> Callable[[list[str]], Outlined]:
+) -> Callable[[list[str]], shapes.Outlined]:
     lower = [column.lower() for column in columns]
     geometry = next((name for name in GEOMETRY if name in lower), None)
     if geometry is None:
         raise ValueError(f'no column of WKT: {", ".join(GEOMETRY)} (header: {",".join(columns)})')
     index = lower.index(geometry)
 
-    def parse(fields: list[str]) -> Outlined:
+    def parse(fields: list[str]) -> shapes.Outlined:
         row = dict(zip(columns, fields, strict=True))
-        return feature_record(default_image, row, _wkt_rings(fields[index]))
+        return shapes.feature_record(default_image, row, _wkt_rings(fields[index]))
 
     return parse
 
 
-def _wkt_rings(text: str) -> list[FloatArray]:
+def _wkt_rings(wkt: str) -> list[FloatArray]:
     try:
-        geometry = shapely.from_wkt(SRID.sub('', text, count=1))
+        geometry = shapely.from_wkt(SRID.sub('', wkt, count=1))
     except shapely.errors.GEOSException as error:
         raise ValueError(f'not WKT: {error}') from None
-    return outer_rings(geometry)
+    return shapes.outer_rings(geometry)
 
 
 def _write(path: Path, images: list[ImageLabels]) -> None:
@@ -228,7 +220,7 @@ def _label_rows(labels: ImageLabels) -> Iterator[list[str]]:
 
 
 def _mask(hull: FloatArray | None) -> str:
-    return '' if hull is None else ';'.join(join_numbers(point) for point in hull.tolist())
+    return '' if hull is None else ';'.join(text.join_numbers(point) for point in hull.tolist())
 
 
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
@@ -262,7 +254,7 @@ def _write_rows(
             raise ValueError(f'an image without a name cannot stand in a table ({image.source})')
         rows = rows_of(image) if image.class_ids else [[image.image]]
         lines += [_join_row(_filled(row, len(columns))) for row in rows]
-    write_lines(path, lines)
+    text.write_lines(path, lines)
 
 
 def _filled(row: list[str], count: int) -> list[str]:

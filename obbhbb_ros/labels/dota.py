@@ -18,17 +18,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from obbhbb_ros.labels import text
 from obbhbb_ros.labels.files import write_each
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import LabelFile
-from obbhbb_ros.labels.text import is_index
-from obbhbb_ros.labels.text import is_normalised
-from obbhbb_ros.labels.text import is_number
-from obbhbb_ros.labels.text import join_numbers
-from obbhbb_ros.labels.text import parse_numbers
-from obbhbb_ros.labels.text import read_boxes
 
 HEADER = re.compile(r'\W*(imagesource|gsd|acquisition dates)\W*:', re.IGNORECASE)
 FIELDS = 'x1 y1 x2 y2 x3 y3 x4 y4 category [difficulty]'
@@ -36,7 +31,7 @@ COUNTS = (9, 10)
 
 
 def _read(file: LabelFile) -> list[ImageLabels]:
-    return [file.image(file.path.stem, read_boxes(file, _parse))]
+    return [file.image(file.path.stem, text.read_boxes(file, _parse))]
 
 
 def _parse(line: str) -> Box | None:
@@ -45,9 +40,9 @@ def _parse(line: str) -> Box | None:
     fields = _split(line)
     if len(fields) not in COUNTS:
         raise ValueError(f'{len(fields)} fields, expected 9 or 10: {FIELDS}')
-    corners = parse_numbers(fields[:8])
+    corners = text.parse_numbers(fields[:8])
     for difficulty in fields[9:]:
-        if not is_index(difficulty):
+        if not text.is_index(difficulty):
             raise ValueError(f'difficulty {difficulty!r} is not a whole number')
     return Box(corners, fields[8])
 
@@ -69,7 +64,7 @@ def _lines(labels: ImageLabels) -> list[str]:
             )
     corners = labels.corners.reshape(-1, 8).tolist()
     pairs = zip(corners, labels.class_ids, strict=True)
-    return [f'{join_numbers(box)} {category} 0' for box, category in pairs]
+    return [f'{text.join_numbers(box)} {category} 0' for box, category in pairs]
 
 
 def _sniff(head: str) -> bool:
@@ -77,11 +72,11 @@ def _sniff(head: str) -> bool:
 
 
 def _looks_like_box(fields: list[str]) -> bool:
-    if len(fields) not in COUNTS or not all(map(is_number, fields[:8])):
+    if len(fields) not in COUNTS or not all(map(text.is_number, fields[:8])):
         return False
     # If the category is a number, the line could be YOLO-OBB: but there the coordinates are
     # fractions of the image, and here they are pixels.
-    return not is_number(fields[8]) or not is_normalised(map(float, fields[1:8]))
+    return not text.is_number(fields[8]) or not text.is_normalised(map(float, fields[1:8]))
 
 
 FORMAT = Format(

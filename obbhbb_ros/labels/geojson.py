@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from obbhbb_ros.files import write_pieces
+from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels.documents import json_member
 from obbhbb_ros.labels.documents import numbered
 from obbhbb_ros.labels.documents import read_json
@@ -33,11 +34,6 @@ from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import LabelFile
-from obbhbb_ros.labels.shapes import Outlined
-from obbhbb_ros.labels.shapes import box_features
-from obbhbb_ros.labels.shapes import enclose
-from obbhbb_ros.labels.shapes import feature_record
-from obbhbb_ros.labels.shapes import ring_of
 
 MARKS = ('"FeatureCollection"', '"Feature"')
 POLYGONS = ('Polygon', 'MultiPolygon')
@@ -46,7 +42,7 @@ POLYGONS = ('Polygon', 'MultiPolygon')
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
     features = numbered('features', _released(_features(file, read_json(file, _shorten))))
     records = file.parse_each(features, partial(_record, file.path.stem))
-    return file.images(enclose(file, records) or {file.path.stem: []})
+    return file.images(shapes.enclose(file, records) or {file.path.stem: []})
 
 
 def _shorten(member: dict[str, Any]) -> dict[str, Any]:
@@ -66,7 +62,7 @@ def _outer_rings(geometry: dict[str, Any]) -> list[FloatArray]:
     if not isinstance(polygons, list) or not all(isinstance(each, list) for each in polygons):
         raise ValueError("'coordinates' is not an array of rings")
     # The first ring is the outer one, the others are holes.
-    return [ring_of(polygon[0]) for polygon in polygons if polygon]
+    return [shapes.ring_of(polygon[0]) for polygon in polygons if polygon]
 
 
 def _features(file: LabelFile, document: Any) -> list[Any]:
@@ -85,14 +81,14 @@ def _released(features: list[Any]) -> Iterator[Any]:
         yield feature
 
 
-def _record(default_image: str, feature: object) -> Outlined:
+def _record(default_image: str, feature: object) -> shapes.Outlined:
     geometry = json_member(feature, 'geometry')
     properties = json_member(feature, 'properties') or {}
     if not isinstance(properties, dict):
         raise ValueError("'properties' is not a JSON object")
     own_id = {} if not isinstance(feature, dict) else {'id': feature.get('id')}
     # An id among the properties is the user's own; the one beside them may be a running number.
-    return feature_record(default_image, {**own_id, **properties}, _rings(geometry))
+    return shapes.feature_record(default_image, {**own_id, **properties}, _rings(geometry))
 
 
 def _rings(geometry: object) -> list[FloatArray]:
@@ -108,7 +104,7 @@ def _rings(geometry: object) -> list[FloatArray]:
 
 
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
-    properties, boxes = box_features(images)
+    properties, boxes = shapes.box_features(images)
     dump = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
     features = (
         f'{", " if index else ""}'

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element
 
+from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels.documents import has_any
 from obbhbb_ros.labels.documents import image_size_of
 from obbhbb_ros.labels.documents import read_xml_boxes
@@ -32,8 +33,6 @@ from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import LabelFile
-from obbhbb_ros.labels.shapes import oriented_corners
-from obbhbb_ros.labels.shapes import upright_corners
 
 ROOT = 'HRSC_Image'
 ORIENTED = ('mbox_cx', 'mbox_cy', 'mbox_w', 'mbox_h', 'mbox_ang')
@@ -49,9 +48,9 @@ def _read(file: LabelFile) -> list[ImageLabels]:
 def _parse(element: Element) -> Box:
     reference = xml_numbers(element, BOUNDS) if has_any(element, BOUNDS) else NO_REFERENCE
     if has_any(element, ORIENTED) or reference is NO_REFERENCE:
-        corners = oriented_corners(*xml_numbers(element, ORIENTED))
+        corners = shapes.oriented_corners(*xml_numbers(element, ORIENTED))
     else:
-        corners = upright_corners(reference)
+        corners = shapes.upright_corners(reference)
     return Box(
         corners,
         class_id=xml_text(element, 'Class_ID'),

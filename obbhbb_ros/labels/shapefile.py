@@ -21,16 +21,12 @@ import numpy as np
 import shapely
 
 from obbhbb_ros.files import replacing_all
+from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels.records import DIAGNOSTICS
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import LabelFile
-from obbhbb_ros.labels.shapes import Outlined
-from obbhbb_ros.labels.shapes import box_features
-from obbhbb_ros.labels.shapes import enclose
-from obbhbb_ros.labels.shapes import feature_record
-from obbhbb_ros.labels.shapes import outer_rings
 
 DRIVER = 'ESRI Shapefile'
 # Indexes of the older features, which must not stay beside new ones.
@@ -48,12 +44,12 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
         for index, feature in enumerate(zip(fields, geometries, strict=True))
     )
     records = file.parse_each(features, partial(_record, file.path.stem))
-    return file.images(enclose(file, records) or {file.path.stem: []})
+    return file.images(shapes.enclose(file, records) or {file.path.stem: []})
 
 
-def _record(default_image: str, feature: tuple[dict[str, Any], Any]) -> Outlined:
+def _record(default_image: str, feature: tuple[dict[str, Any], Any]) -> shapes.Outlined:
     properties, geometry = feature
-    return feature_record(default_image, properties, outer_rings(geometry))
+    return shapes.feature_record(default_image, properties, shapes.outer_rings(geometry))
 
 
 def _frame(file: LabelFile) -> Any:
@@ -73,7 +69,7 @@ def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
 
     if path.suffix.lower() != '.shp':
         raise ValueError(f'{path}: a shapefile ends in .shp')
-    properties, boxes = box_features(images)
+    properties, boxes = shapes.box_features(images)
     _check_texts(properties)
     frame = geopandas.GeoDataFrame(_columns(properties), geometry=shapely.box(*boxes.T))
     # A file without features needs to be given the type of geometry, which one engine can take.

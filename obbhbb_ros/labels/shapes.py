@@ -288,51 +288,45 @@ def _enclosed(
     drawn = [record for _, _, record in block if record.rings]
     with np.errstate(over='ignore', invalid='ignore'):
         boxes = OrientedBoxes.from_polygons(np.concatenate(record.rings) for record in drawn)
-    complete = iter(_with_hulls([drawn[row] for row in np.flatnonzero(boxes.valid)]))
+    complete = _with_hulls([drawn[row] for row in np.flatnonzero(boxes.valid)])
     found = zip(boxes.defects.tolist(), boxes.corners.reshape(-1, 8).tolist(), strict=True)
     for line, place, record in block:
-        defect, corners = next(found) if record.rings else (Defect.NONE, record.box.corners)
-        if defect != Defect.NONE:
-            message = f'{place}{PROBLEMS[Defect(defect)]}'
-            file.on_error(LabelError(file.path, line, message))
-        elif record.rings:
+        if not record.rings:
+            yield record.image, record.box
+            continue
+        defect, corners = next(found)
+        if defect == Defect.NONE:
             yield record.image, next(complete)._replace(corners=corners)
         else:
-            yield record.image, record.box
+            message = f'{place}{PROBLEMS[Defect(defect)]}'
+            file.on_error(LabelError(file.path, line, message))
 
 
-def _with_hulls(records: Sequence[Outlined]) -> list[Box]:
-    """Add hull or reference box to the boxes of records, whose rings all have an area."""
+def _with_hulls(records: Sequence[Outlined]) -> Iterator[Box]:
+    """Add hull or reference box to the boxes of records whose rings have an area."""
     if not records:
-        return []
-    rings = [ring for record in records for ring in record.rings]
-    owner = np.repeat(
-        np.arange(len(records)), [sum(map(len, record.rings)) for record in records]
-    )
-    outlines = shapely.polygons(shapely.linearrings(np.concatenate(rings), indices=owner))
-    several = np.array([len(record.rings) > 1 for record in records])
-    outlines[several] = shapely.convex_hull(outlines[several])
-    counts = shapely.get_num_coordinates(outlines)
-    # The last coordinates are the first again.
-    is_box = ~several & (counts == BOX_CORNERS + 1)
-    upright = is_box.copy()
-    upright[is_box] = _are_upright(outlines[is_box])
-    bounds = shapely.bounds(outlines).tolist()
-    closed = np.split(shapely.get_coordinates(outlines), np.cumsum(counts)[:-1])
-    complete = []
-    for row, record in enumerate(records):
+        return
+    outlines = _outlines([record.rings for record in records])
+    envelopes = shapely.normalize(shapely.envelope(outlines))
+    upright = shapely.equals_exact(shapely.normalize(outlines), envelopes)
+    for record, outline, is_upright in zip(records, outlines, upright.tolist(), strict=True):
         box = record.box
-        if not is_box[row]:
-            box = box._replace(hull=closed[row][:-1])
-        elif upright[row] and box.reference is NO_REFERENCE:
-            box = box._replace(reference=bounds[row])
-        complete.append(box)
-    return complete
+        ring = shapely.get_coordinates(outline)[:-1]
+        if len(record.rings) > 1 or len(ring) != BOX_CORNERS:
+            box = box._replace(hull=ring)
+        elif is_upright and box.reference is NO_REFERENCE:
+            box = box._replace(reference=outline.bounds)
+        yield box
 
 
-def _are_upright(quadrangles: Any) -> Any:
-    envelopes = shapely.normalize(shapely.envelope(quadrangles))
-    return shapely.equals_exact(shapely.normalize(quadrangles), envelopes)
+def _outlines(ships: Sequence[Sequence[FloatArray]]) -> Any:
+    """Make polygons of the rings of ships: of one ring as it is, of several their convex hull."""
+    points = [np.concatenate(rings) for rings in ships]
+    owner = np.repeat(np.arange(len(points)), [len(each) for each in points])
+    outlines = shapely.polygons(shapely.linearrings(np.concatenate(points), indices=owner))
+    several = np.array([len(rings) > 1 for rings in ships])
+    outlines[several] = shapely.convex_hull(outlines[several])
+    return outlines
 
 
 def box_features(images: Sequence[ImageBoxes]) -> tuple[list[dict[str, Any]], FloatArray]:

@@ -30,6 +30,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 from xml.etree.ElementTree import SubElement
 
+from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels.documents import has_any
 from obbhbb_ros.labels.documents import image_size_of
 from obbhbb_ros.labels.documents import read_xml_boxes
@@ -42,8 +43,6 @@ from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import LabelFile
-from obbhbb_ros.labels.shapes import oriented_corners
-from obbhbb_ros.labels.shapes import upright_corners
 
 ROOT = 'annotation'
 BOUNDS = ('xmin', 'ymin', 'xmax', 'ymax')
@@ -70,14 +69,14 @@ def _parse(element: Element) -> Box:
         raise ValueError('neither <bndbox> nor <robndbox>')
     reference = NO_REFERENCE if bounds is None else xml_numbers(bounds, BOUNDS)
     if oriented is None:
-        return Box(upright_corners(reference), name, reference=reference)
+        return Box(shapes.upright_corners(reference), name, reference=reference)
     return Box(_oriented(oriented), name, reference=reference)
 
 
 def _oriented(element: Element) -> Sequence[float]:
     if has_any(element, CORNERS):
         return xml_numbers(element, CORNERS)
-    return oriented_corners(*xml_numbers(element, CENTRED))
+    return shapes.oriented_corners(*xml_numbers(element, CENTRED))
 
 
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:

@@ -28,6 +28,8 @@ from pathlib import Path
 
 import numpy as np
 
+from obbhbb_ros.labels import shapes
+from obbhbb_ros.labels import text
 from obbhbb_ros.labels.files import CLASSES_FILE
 from obbhbb_ros.labels.files import target_files
 from obbhbb_ros.labels.images import stored_size
@@ -42,15 +44,6 @@ from obbhbb_ros.labels.records import ImageSize
 from obbhbb_ros.labels.records import LabelError
 from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.records import raise_error
-from obbhbb_ros.labels.shapes import bounds_of_xywh
-from obbhbb_ros.labels.shapes import upright_corners
-from obbhbb_ros.labels.text import is_index
-from obbhbb_ros.labels.text import is_normalised
-from obbhbb_ros.labels.text import join_numbers
-from obbhbb_ros.labels.text import parse_numbers
-from obbhbb_ros.labels.text import read_boxes
-from obbhbb_ros.labels.text import text_lines
-from obbhbb_ros.labels.text import write_lines
 
 UPRIGHT_FIELDS = 'class x_center y_center width height [confidence [track]]'
 CORNER_FIELDS = 'class x1 y1 x2 y2 x3 y3 x4 y4 [confidence [track]]'
@@ -62,8 +55,8 @@ Parse = Callable[[str, Sequence[str]], Box]
 def _parse_upright(line: str, names: Sequence[str]) -> Box:
     box = _parse(line, names, 4, UPRIGHT_FIELDS)
     x, y, width, height = box.corners
-    reference = bounds_of_xywh(x - width / 2, y - height / 2, width, height)
-    return box._replace(corners=upright_corners(reference), reference=reference)
+    reference = shapes.bounds_of_xywh(x - width / 2, y - height / 2, width, height)
+    return box._replace(corners=shapes.upright_corners(reference), reference=reference)
 
 
 def _parse_corners(line: str, names: Sequence[str]) -> Box:
@@ -75,8 +68,8 @@ def _parse(line: str, names: Sequence[str], count: int, expected: str) -> Box:
     fields = line.split()
     if not count < len(fields) <= count + 3:
         raise ValueError(f'{len(fields)} fields, expected {count + 1} to {count + 3}: {expected}')
-    coordinates = parse_numbers(fields[1 : count + 1])
-    if not is_normalised(coordinates):
+    coordinates = text.parse_numbers(fields[1 : count + 1])
+    if not text.is_normalised(coordinates):
         raise ValueError('the box is not normalised to 0..1')
     confidence, track = (*fields[count + 1 :], '', '')[:2]
     score = _parse_score(confidence) if confidence else 1.0
@@ -84,14 +77,14 @@ def _parse(line: str, names: Sequence[str], count: int, expected: str) -> Box:
 
 
 def _parse_score(field: str) -> float:
-    (score,) = parse_numbers([field])
+    (score,) = text.parse_numbers([field])
     if not 0.0 <= score <= 1.0:
         raise ValueError(f'confidence {field} is not within 0..1')
     return score
 
 
 def _parse_class(field: str, names: Sequence[str]) -> str:
-    if not is_index(field):
+    if not text.is_index(field):
         raise ValueError(f'class index {field!r} is not a whole number')
     index = int(field)
     if not names:
@@ -106,7 +99,7 @@ def _read(parse: Parse, file: LabelFile) -> list[ImageLabels]:
         names = _class_names(file.path.parent)
     except LabelError as error:
         raise FileError(*error.args) from None
-    boxes = read_boxes(file, lambda line: parse(line, names))
+    boxes = text.read_boxes(file, lambda line: parse(line, names))
     size = file.image_size or _stored_size(file, needed=bool(boxes))
     labels = file.image(file.path.stem, boxes, size)
     scale = np.array(size or (1, 1), dtype=np.float64)
@@ -131,7 +124,7 @@ def _class_names(folder: Path) -> list[str]:
     path = folder / CLASSES_FILE
     if not path.is_file():
         return []
-    return [line.strip() for _, line in text_lines(path, raise_error)]
+    return [line.strip() for _, line in text.text_lines(path, raise_error)]
 
 
 def _write(path: Path, images: list[ImageLabels]) -> None:
@@ -167,15 +160,15 @@ def _write_images(
     names = _numbered_names(folder, [name for image in images for name in image.class_ids])
     files = [(file, _lines(image, names, fractions(image))) for file, image in targets]
     if names:
-        write_lines(folder / CLASSES_FILE, names)
+        text.write_lines(folder / CLASSES_FILE, names)
     for file, lines in files:
-        write_lines(file, lines)
+        text.write_lines(file, lines)
 
 
 def _numbered_names(folder: Path, used: Iterable[str]) -> list[str]:
     """List the names for ``classes.txt``, those already in it first; none for plain indices."""
     distinct = list(dict.fromkeys(used))
-    if all(is_index(name) and name == str(int(name)) for name in distinct):
+    if all(text.is_index(name) and name == str(int(name)) for name in distinct):
         return []
     for name in distinct:
         if not name or name != name.strip() or name.splitlines() != [name]:
@@ -187,7 +180,7 @@ def _numbered_names(folder: Path, used: Iterable[str]) -> list[str]:
 def _lines(
     image: ImageLabels | ImageBoxes, names: Sequence[str], boxes: FloatArray
 ) -> list[str]:
-    if not is_normalised(boxes.flat):
+    if not text.is_normalised(boxes.flat):
         raise ValueError(f'image {image.image!r}: a box lies far outside its size {image.size}')
     rows = boxes.tolist()
     if np.any(image.scores != 1.0):
@@ -197,7 +190,7 @@ def _lines(
         rows = [[*row, score] for row, score in zip(rows, scores, strict=True)]
     numbers = {name: str(index) for index, name in enumerate(names)}
     pairs = zip(image.class_ids, rows, strict=True)
-    return [f'{numbers.get(name, name)} {join_numbers(row)}' for name, row in pairs]
+    return [f'{numbers.get(name, name)} {text.join_numbers(row)}' for name, row in pairs]
 
 
 def _fits(parse: Parse, head: str) -> bool:
