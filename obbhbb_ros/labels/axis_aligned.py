@@ -38,16 +38,6 @@ from obbhbb_ros.labels.records import LabelError
 
 Progress = Callable[[Iterable[ImageLabels], 'int | None'], Iterable[ImageLabels]]
 
-REASONS = {
-    Defect.NOT_FINITE: 'not finite',
-    Defect.NEGATIVE_SIZE: 'negative size',
-    Defect.EMPTY: 'empty',
-    Defect.TOO_FEW_POINTS: 'too few points',
-    Defect.NO_RECTANGLE: 'no rectangle',
-}
-OVERFLOW = 'overflow'
-
-
 @dataclass(frozen=True)
 class Tally:
     """
@@ -130,7 +120,12 @@ def convert_image(
         diagnostics=None if conversion is None else _select(conversion, rows),
     )
     bad = np.flatnonzero(~finite).tolist()
-    return image, {row: REASONS.get(Defect(boxes.defects[row]), OVERFLOW) for row in bad}
+    return image, {row: _reason(Defect(boxes.defects[row])) for row in bad}
+
+
+def _reason(defect: Defect) -> str:
+    # Of a box without a defect the result is too large.
+    return 'overflow' if defect == Defect.NONE else defect.name.lower().replace('_', ' ')
 
 
 def _select(conversion: Conversion, rows: NDArray[np.intp]) -> Conversion:
@@ -175,10 +170,6 @@ def convert_labels(
     return done, Tally(len(done), boxes, dict(reasons), 0)
 
 
-def _without_progress(images: Iterable[ImageLabels], _: int | None) -> Iterable[ImageLabels]:
-    return images
-
-
 def convert_file(
     source: Path,
     target: Path,
@@ -190,7 +181,7 @@ def convert_file(
     image_size: tuple[int, int] | None = None,
     diagnostics: bool = False,
     report: Callable[[str], None],
-    progress: Progress = _without_progress,
+    progress: Progress = lambda images, _: images,
 ) -> Tally:
     """
     Read a file or folder of oriented boxes and write one of axis-aligned boxes.

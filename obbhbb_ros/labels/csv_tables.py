@@ -205,18 +205,17 @@ def _write(path: Path, images: list[ImageLabels]) -> None:
 
 
 def _label_rows(labels: ImageLabels) -> Iterator[list[str]]:
-    references = [row if np.isfinite(row).all() else None for row in labels.reference]
-    for index, (class_id, instance) in enumerate(zip(labels.class_ids, labels.ids, strict=True)):
-        reference = references[index]
-        yield [
-            labels.image,
-            instance,
-            class_id,
-            *map(repr, labels.corners[index].ravel().tolist()),
-            *([''] * len(REFERENCE) if reference is None else map(repr, reference.tolist())),
-            _mask(labels.hulls[index]),
-            repr(float(labels.scores[index])),
-        ]
+    columns = (
+        labels.ids,
+        labels.class_ids,
+        labels.corners.reshape(-1, 8).tolist(),
+        labels.reference.tolist(),
+        labels.hulls,
+        labels.scores.tolist(),
+    )
+    for instance, class_id, corners, reference, hull, score in zip(*columns, strict=True):
+        numbers = map(_field, (*corners, *reference))
+        yield [labels.image, instance, class_id, *numbers, _mask(hull), _field(score)]
 
 
 def _mask(hull: FloatArray | None) -> str:
@@ -236,7 +235,7 @@ def _box_rows(image: ImageBoxes) -> Iterator[list[str]]:
 
 
 def _field(value: Value) -> str:
-    if value is None:
+    if value is None or value != value:  # noqa: PLR0124
         return ''
     return str(int(value)) if isinstance(value, bool) else repr(value)
 

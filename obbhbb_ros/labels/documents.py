@@ -34,10 +34,8 @@ def read_xml_boxes(
     file : LabelFile
         The file. A document type declaration is refused: label files have none, and its entities
         may expand to gigabytes or name other files.
-    root_tag : str
-        Tag that its root must have.
-    objects : str
-        Path of the objects below the root.
+    root_tag, objects : str
+        Tag that the root must have, and path of the objects below it.
     parse : callable
         Element to Box; raises ValueError if it is malformed.
 
@@ -50,8 +48,6 @@ def read_xml_boxes(
     ------
     FileError
         If it is not well-formed XML, has a document type declaration or another root.
-    OSError
-        If the file cannot be read.
     """
     root, lines = _parse_xml(file)
     if root.tag != root_tag:
@@ -142,24 +138,13 @@ def read_json(file: LabelFile, shorten: Callable[[dict[str, Any]], Any] | None =
     """
     Parse a JSON file, UTF-8 with or without BOM.
 
-    Parameters
-    ----------
-    file : LabelFile
-        The file.
-    shorten : callable, optional
-        Called with each JSON object as soon as it is complete; its result replaces the object.
-
-    Returns
-    -------
-    dict, list, str, float, int, bool or None
-        The document.
+    `shorten` is called with each JSON object as soon as it is complete; its result replaces the
+    object.
 
     Raises
     ------
     FileError
         If it is not JSON or nested too deeply.
-    OSError
-        If the file cannot be read.
     """
     data = file.path.read_bytes()
     try:
@@ -195,26 +180,12 @@ def json_member(record: object, name: str) -> Any:
 
 def json_numbers(values: object, count: int | None, what: str) -> list[float]:
     """
-    Check a JSON array of finite numbers.
-
-    Parameters
-    ----------
-    values : object
-        The value in the file.
-    count : int or None
-        How many numbers there must be; None for any number.
-    what : str
-        Its name, for the message.
-
-    Returns
-    -------
-    list of float
-        The numbers.
+    Check a JSON array of finite numbers: `count` of them, or any number if that is None.
 
     Raises
     ------
     ValueError
-        If it is anything else.
+        If it is anything else; the message calls it `what`.
     """
     if not isinstance(values, list) or (count is not None and len(values) != count):
         raise ValueError(f'{what} is not an array of {"" if count is None else f"{count} "}numbers')
@@ -223,12 +194,12 @@ def json_numbers(values: object, count: int | None, what: str) -> list[float]:
 
 def json_number(value: object, what: str) -> float:
     """
-    Check a finite number; `what` is its name for the message.
+    Check a finite number.
 
     Raises
     ------
     ValueError
-        If it is anything else.
+        If it is anything else; the message calls it `what`.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f'{what} has {value!r}, which is not a number')

@@ -109,19 +109,8 @@ def write_each(
     """
     Write one file per image, once all of them are known to be writable.
 
-    Parameters
-    ----------
-    path, images, suffix
-        As for `target_files`.
-    lines : callable
-        Returns the lines of an image's file; raises ValueError if the format cannot hold them.
-
-    Raises
-    ------
-    ValueError
-        As `target_files` and `lines` do.
-    OSError
-        If a file cannot be written.
+    `lines` returns the lines of an image's file, and raises ValueError if the format cannot hold
+    them. For the others, and further errors, see `target_files`.
     """
     files = [(file, lines(image)) for file, image in target_files(path, images, suffix)]
     for file, text in files:

@@ -120,17 +120,14 @@ class ImageLabels:
     def __post_init__(self) -> None:
         """Check that all fields have the same number of boxes."""
         count = len(self.class_ids)
-        self._check_shape('corners', self.corners, (count, 4, 2))
-        self._check_shape('scores', self.scores, (count,))
-        self._check_shape('reference', self.reference, (count, 4))
+        wanted = {'corners': (count, 4, 2), 'scores': (count,), 'reference': (count, 4)}
+        for name, shape in wanted.items():
+            got = getattr(self, name).shape
+            if got != shape:
+                raise ValueError(f'{name} has shape {got}, class_ids ask for {shape}')
         for name, values in (('ids', self.ids), ('hulls', self.hulls)):
             if len(values) != count:
                 raise ValueError(f'{name} has {len(values)} entries for {count} class_ids')
-
-    @staticmethod
-    def _check_shape(name: str, array: FloatArray, shape: tuple[int, ...]) -> None:
-        if array.shape != shape:
-            raise ValueError(f'{name} has shape {array.shape}, class_ids ask for {shape}')
 
 
 class BoxRow(NamedTuple):
@@ -194,14 +191,7 @@ class ImageBoxes:
             raise ValueError(f'image {self.image!r}: a box has a value that is not finite')
 
     def rows(self) -> Iterator[BoxRow]:
-        """
-        Go through the boxes.
-
-        Yields
-        ------
-        BoxRow
-            With the six diagnostics, or with none.
-        """
+        """Go through the boxes, with the six diagnostics or with none."""
         names = () if self.diagnostics is None else DIAGNOSTICS
         columns = {name: getattr(self.diagnostics, name).tolist() for name in names}
         rows = zip(
@@ -263,17 +253,8 @@ class LabelFile:
         """
         Parse records one by one; a malformed one costs no other.
 
-        Parameters
-        ----------
-        records : iterable of (int or None, str, record)
-            Line of each record where known, what to put before an error message, and the record.
-        parse : callable
-            Gets the record; raises ValueError if it is malformed.
-
-        Yields
-        ------
-        int or None, str, item
-            Line and place as given, and what `parse` returned.
+        Each record comes, and goes on, with its line where known and with what to put before an
+        error message. `parse` raises ValueError if a record is malformed.
         """
         for line, place, record in records:
             try:
@@ -296,23 +277,10 @@ def assemble(
     image: str, boxes: Sequence[Box], size: ImageSize | None, source: Path
 ) -> ImageLabels:
     """
-    Gather the records of one image into arrays.
+    Gather the N boxes of an image, in the order of the file, into arrays.
 
-    Parameters
-    ----------
-    image : str
-        Image name.
-    boxes : sequence of Box
-        N records in the order of the file, N may be 0.
-    size : tuple of int or None
-        Image width and height in pixels where known.
-    source : Path
-        The file the records came from.
-
-    Returns
-    -------
-    ImageLabels
-        With N boxes; the arrays of an image without boxes have a leading dimension of 0.
+    Those of an image without boxes have a leading dimension of 0. `size` is width and height in
+    pixels, `source` the file that the boxes came from.
     """
     return ImageLabels(
         image=image,

@@ -51,17 +51,7 @@ PROBLEMS = {
 
 def upright_corners(xyxy: Sequence[float]) -> Corners:
     """
-    Return the corners of an axis-aligned box.
-
-    Parameters
-    ----------
-    xyxy : sequence of float
-        x_min, y_min, x_max, y_max, pixels.
-
-    Returns
-    -------
-    tuple of float
-        x1 y1 … x4 y4, around the box.
+    Return the corners x1 y1 … x4 y4, around the box, of x_min, y_min, x_max, y_max.
 
     Raises
     ------
@@ -139,22 +129,12 @@ class Outlined(NamedTuple):
 
 def ring_of(values: object) -> FloatArray:
     """
-    Turn nested lists of positions into an array.
-
-    Parameters
-    ----------
-    values : sequence of sequences of float
-        K positions; numbers after x and y are ignored.
-
-    Returns
-    -------
-    ndarray of float64, shape (K, 2)
-        The positions.
+    Turn a list of K positions into an array of shape (K, 2); numbers after x and y are ignored.
 
     Raises
     ------
     ValueError
-        If they are anything else.
+        If it is anything else.
     """
     try:
         ring = np.asarray(values, dtype=np.float64)
@@ -167,22 +147,14 @@ def ring_of(values: object) -> FloatArray:
 
 def outer_rings(geometry: Any) -> list[FloatArray]:
     """
-    Return the outer rings of a shapely geometry.
+    Return the outer ring, of shape (K, 2), of each part of a shapely Polygon or MultiPolygon.
 
-    Parameters
-    ----------
-    geometry : shapely geometry or None
-        A Polygon or MultiPolygon; holes and heights are ignored.
-
-    Returns
-    -------
-    list of ndarray, each of shape (K, 2)
-        One ring per part.
+    Holes and heights are ignored.
 
     Raises
     ------
     ValueError
-        If it is anything else or empty.
+        If it is empty, None or another geometry.
     """
     if geometry is None or shapely.is_empty(geometry):
         raise ValueError('no geometry')
@@ -220,11 +192,6 @@ def feature_record(
         Its properties or the fields of its row; unknown ones are ignored.
     rings : sequence of ndarray, each of shape (K, 2)
         The outer ring of each of its polygons.
-
-    Returns
-    -------
-    Outlined
-        The record.
 
     Raises
     ------
@@ -330,19 +297,7 @@ def _outlines(ships: Sequence[Sequence[FloatArray]]) -> Any:
 
 
 def box_features(images: Sequence[ImageBoxes]) -> tuple[list[dict[str, Any]], FloatArray]:
-    """
-    Make geographic features of axis-aligned boxes.
-
-    Parameters
-    ----------
-    images : sequence of ImageBoxes
-        The images, N boxes in all.
-
-    Returns
-    -------
-    list of dict, ndarray of shape (N, 4)
-        The properties of each feature, and the boxes.
-    """
+    """Return the properties of N boxes as geographic features, and the boxes, shape (N, 4)."""
     properties = [
         {
             'image': image.image,

@@ -21,24 +21,8 @@ def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
     """
     Read the lines of a UTF-8 file, with or without BOM, ended by LF, CRLF or CR.
 
-    Lines are decoded one by one, so that one damaged line costs no other.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    on_error : callable
-        Gets a LabelError for each line that is not UTF-8, which is left out.
-
-    Yields
-    ------
-    tuple of int and str
-        Line number, counted from 1, and the line without its end.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
+    Yields line numbers, counted from 1, and lines without their ends. `on_error` gets a LabelError
+    for each line that is not UTF-8: it is left out, and costs no other.
     """
     data = path.read_bytes().removeprefix(codecs.BOM_UTF8)
     for number, raw in enumerate(data.splitlines(), start=1):
@@ -55,18 +39,8 @@ def read_boxes(file: LabelFile, parse: Callable[[str], Box | None]) -> list[Box]
     """
     Parse a file with one record per line; blank lines are ignored.
 
-    Parameters
-    ----------
-    file : LabelFile
-        The file.
-    parse : callable
-        Gets the line; returns a Box, or None if the line holds no box. Raises ValueError if it is
-        malformed.
-
-    Returns
-    -------
-    list of Box
-        In the order of the file.
+    `parse` gets a line and returns a Box, or None if the line holds no box. It raises ValueError if
+    the line is malformed.
     """
     boxes = (box for _, _, box in file.parse_each(filled_lines(file), parse))
     return [box for box in boxes if box is not None]
