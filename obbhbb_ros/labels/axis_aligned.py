@@ -142,21 +142,9 @@ def convert_labels(
     report: Callable[[str], None],
 ) -> tuple[list[ImageBoxes], Tally]:
     """
-    Convert images, and count the boxes that cannot be converted.
+    Convert images as `convert_image` does, and count the boxes that cannot be converted.
 
-    Parameters
-    ----------
-    images : iterable of ImageLabels
-        The images.
-    rule, caps, diagnostics
-        As for `convert_image`.
-    report : callable
-        Gets a line for each box that is left out.
-
-    Returns
-    -------
-    list of ImageBoxes, Tally
-        Every image, and the counts, without malformed records.
+    `report` gets a line for each of these. The counts do not include malformed records.
     """
     done = []
     reasons: Counter[str] = Counter()

@@ -55,7 +55,6 @@ from obbhbb_ros.labels.records import LabelFile
 
 MARKS = ('"annotations"', '"images"', '"categories"', '"licenses"')
 
-
 Id = int | str
 
 

@@ -141,7 +141,6 @@ def _parse_row(
         raise ValueError('no image name')
     if sum(map(bool, fields)) == 1:
         return row['image'], None
-    score = row.get('score')
     corners: Sequence[float] = text.parse_numbers([row[column] for column in shape])
     reference = _parse_reference(row)
     if shape is BOUNDS:
@@ -151,7 +150,7 @@ def _parse_row(
         corners=corners,
         class_id=row['class'],
         id=row['instance'],
-        score=text.parse_numbers([score])[0] if score else 1.0,
+        score=text.parse_score(row.get('score', '')),
         reference=reference,
         hull=_parse_hull(row.get('mask', '')),
     )

@@ -78,11 +78,6 @@ def target_files(
     suffix : str
         Suffix of the format's files, with the dot.
 
-    Returns
-    -------
-    list of (Path, image)
-        In the order of `images`.
-
     Raises
     ------
     ValueError

@@ -96,16 +96,6 @@ def detect_format(path: str | os.PathLike[str]) -> str:
         If a folder holds no label file.
     ValueError
         If the format cannot be detected, or a folder holds files of more than one format.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     path = Path(folder, 'P0706.txt')
-    ...     _ = path.write_text('10 20 50 20 50 30 10 30 ship 0')
-    ...     detect_format(path)
-    'dota'
     """
     path = Path(path)
     suffixes = {suffix for each in FORMATS.values() for suffix in each.suffixes}
@@ -341,16 +331,7 @@ def write_boxes(
 
 def box_format(path: Path, name: str | None, diagnosed: bool = False) -> Format:
     """
-    Choose the format in which `write_boxes` writes.
-
-    Parameters
-    ----------
-    path : Path
-        File or folder to write.
-    name : str or None
-        Name of one of `FORMATS`; None to choose by the suffix of `path`.
-    diagnosed : bool
-        Whether diagnostics are to be written.
+    Choose the format that `write_boxes` writes, with diagnostics if `diagnosed`.
 
     Raises
     ------

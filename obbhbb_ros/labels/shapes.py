@@ -27,7 +27,7 @@ from obbhbb_ros.labels.records import FloatArray
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import LabelError
 from obbhbb_ros.labels.records import LabelFile
-from obbhbb_ros.labels.text import parse_numbers
+from obbhbb_ros.labels.text import parse_score
 
 Corners = tuple[float, float, float, float, float, float, float, float]
 
@@ -201,12 +201,11 @@ def feature_record(
     if not rings:
         raise ValueError('the polygon is empty')
     lower = {str(name).lower(): value for name, value in properties.items()}
-    score = _first(lower, SCORE)
     box = Box(
         corners=(),
         class_id=_first(lower, CLASS),
         id=_first(lower, INSTANCE),
-        score=parse_numbers([score])[0] if score else 1.0,
+        score=parse_score(_first(lower, SCORE)),
     )
     return Outlined(_first(lower, IMAGE) or default_image, box, rings)
 

@@ -75,6 +75,11 @@ def _number(field: str) -> float:
     return value
 
 
+def parse_score(field: str) -> float:
+    """Turn the field of a score into a finite number, see `parse_numbers`; 1.0 if it is empty."""
+    return _number(field) if field else 1.0
+
+
 def is_number(field: str) -> bool:
     """Return whether a field is a finite number."""
     try:

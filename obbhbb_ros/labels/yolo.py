@@ -72,15 +72,10 @@ def _parse(line: str, names: Sequence[str], count: int, expected: str) -> Box:
     if not text.is_normalised(coordinates):
         raise ValueError('the box is not normalised to 0..1')
     confidence, track = (*fields[count + 1 :], '', '')[:2]
-    score = _parse_score(confidence) if confidence else 1.0
-    return Box(coordinates, _parse_class(fields[0], names), track, score)
-
-
-def _parse_score(field: str) -> float:
-    (score,) = text.parse_numbers([field])
+    score = text.parse_score(confidence)
     if not 0.0 <= score <= 1.0:
-        raise ValueError(f'confidence {field} is not within 0..1')
-    return score
+        raise ValueError(f'confidence {confidence} is not within 0..1')
+    return Box(coordinates, _parse_class(fields[0], names), track, score)
 
 
 def _parse_class(field: str, names: Sequence[str]) -> str:
