@@ -38,6 +38,7 @@ from obbhbb_ros.labels.records import LabelError
 
 Progress = Callable[[Iterable[ImageLabels], 'int | None'], Iterable[ImageLabels]]
 
+
 @dataclass(frozen=True)
 class Tally:
     """

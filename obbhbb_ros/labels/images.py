@@ -74,20 +74,11 @@ def _image_folders(folder: Path) -> Iterator[Path]:
 
 def stored_size(labels: Path) -> ImageSize:
     """
-    Read width and height of the image that belongs to a label file.
+    Read width and height in pixels of the image that belongs to a label file.
 
     The image has the same stem and is beside the label file, or where Ultralytics keeps it: in
-    the folder that has ``images`` instead of the last ``labels`` in the path.
-
-    Parameters
-    ----------
-    labels : Path
-        The label file.
-
-    Returns
-    -------
-    tuple of int
-        Width and height in pixels, as the image is shown (EXIF orientation of JPEG applied).
+    the folder that has ``images`` instead of the last ``labels`` in the path. The size is that of
+    the image as it is shown (EXIF orientation of JPEG applied).
 
     Raises
     ------

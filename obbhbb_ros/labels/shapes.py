@@ -79,21 +79,10 @@ def bounds_of_xywh(x: float, y: float, width: float, height: float) -> list[floa
 
 def oriented_corners(x: float, y: float, width: float, height: float, angle: float) -> Corners:
     """
-    Return the corners of a box that is rotated about its centre.
+    Return the corners x1 y1 … x4 y4 of a box with centre `x`, `y` in pixels.
 
-    Parameters
-    ----------
-    x, y : float
-        Centre, pixels.
-    width, height : float
-        Extent along `angle` and across it, pixels.
-    angle : float
-        Radians from image +x towards +y.
-
-    Returns
-    -------
-    tuple of float
-        x1 y1 … x4 y4, around the box.
+    `width` is its extent along `angle` and `height` across it, pixels; `angle` is in radians from
+    image +x towards +y.
 
     Raises
     ------
@@ -182,16 +171,9 @@ def feature_record(
     default_image: str, properties: Mapping[str, Any], rings: Sequence[FloatArray]
 ) -> Outlined:
     """
-    Make a record of a geographic feature.
+    Make a record of a geographic feature with the outer rings of its polygons.
 
-    Parameters
-    ----------
-    default_image : str
-        Image of features that name none.
-    properties : mapping
-        Its properties or the fields of its row; unknown ones are ignored.
-    rings : sequence of ndarray, each of shape (K, 2)
-        The outer ring of each of its polygons.
+    Properties that are not known are ignored; if they name no image, it is `default_image`.
 
     Raises
     ------
