@@ -125,7 +125,7 @@ def convert_image(
 
 
 def _reason(defect: Defect) -> str:
-    # Of a box without a defect the result is too large.
+    # A box without a defect is left out because its result is too large.
     return 'overflow' if defect == Defect.NONE else defect.name.lower().replace('_', ' ')
 
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Iterable
+from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -98,11 +99,8 @@ def _read(parse: Parse, file: LabelFile) -> list[ImageLabels]:
     size = file.image_size or _stored_size(file, needed=bool(boxes))
     labels = file.image(file.path.stem, boxes, size)
     scale = np.array(size or (1, 1), dtype=np.float64)
-    return [
-        replace(
-            labels, corners=labels.corners * scale, reference=labels.reference * np.tile(scale, 2)
-        )
-    ]
+    corners, reference = labels.corners * scale, labels.reference * np.tile(scale, 2)
+    return [replace(labels, corners=corners, reference=reference)]
 
 
 def _stored_size(file: LabelFile, needed: bool) -> ImageSize | None:
@@ -153,7 +151,8 @@ def _write_images(
     targets = target_files(path, images, '.txt')
     folder = path if not targets else targets[0][0].parent
     names = _numbered_names(folder, [name for image in images for name in image.class_ids])
-    files = [(file, _lines(image, names, fractions(image))) for file, image in targets]
+    numbers = {name: str(index) for index, name in enumerate(names)}
+    files = [(file, _lines(image, numbers, fractions(image))) for file, image in targets]
     if names:
         text.write_lines(folder / CLASSES_FILE, names)
     for file, lines in files:
@@ -173,18 +172,15 @@ def _numbered_names(folder: Path, used: Iterable[str]) -> list[str]:
 
 
 def _lines(
-    image: ImageLabels | ImageBoxes, names: Sequence[str], boxes: FloatArray
+    image: ImageLabels | ImageBoxes, numbers: Mapping[str, str], boxes: FloatArray
 ) -> list[str]:
     if not text.is_normalised(boxes.flat):
         raise ValueError(f'image {image.image!r}: a box lies far outside its size {image.size}')
-    rows = boxes.tolist()
+    if np.any((image.scores < 0.0) | (image.scores > 1.0)):
+        raise ValueError(f'image {image.image!r}: scores are not within 0..1')
     if np.any(image.scores != 1.0):
-        if image.scores.min() < 0.0 or image.scores.max() > 1.0:
-            raise ValueError(f'image {image.image!r}: scores are not within 0..1')
-        scores = image.scores.tolist()
-        rows = [[*row, score] for row, score in zip(rows, scores, strict=True)]
-    numbers = {name: str(index) for index, name in enumerate(names)}
-    pairs = zip(image.class_ids, rows, strict=True)
+        boxes = np.column_stack((boxes, image.scores))
+    pairs = zip(image.class_ids, boxes.tolist(), strict=True)
     return [f'{numbers.get(name, name)} {text.join_numbers(row)}' for name, row in pairs]
 
 
