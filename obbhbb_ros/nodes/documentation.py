@@ -2,7 +2,7 @@
 """
 The parameter tables as YAML files and as Markdown.
 
-`python -m obbhbb_ros.nodes.documentation` rewrites `config/` and the tables in the README of the
+`python -m obbhbb_ros.nodes.documentation` rewrites `config/` and the tables in `doc/` of the
 checkout that it is run in; a test holds them equal.
 """
 
@@ -26,6 +26,11 @@ from obbhbb_ros.nodes.settings import CLASS_TABLE
 from obbhbb_ros.nodes.settings import TABLE
 
 PAPER = {'method': 'shape_aware', 'q': 2.2, 'f': 0.9, 's': 1.0}
+NODE_TABLES: dict[str, Sequence[ParameterSpec]] = {
+    'obb_to_hbb': TABLE + CLASS_TABLE,
+    'chip_extractor': CHIP_TABLE,
+    'play_detections': play_detections.TABLE,
+}
 _INDENT = ' ' * 4
 _COLUMNS = 100
 
@@ -103,8 +108,8 @@ def with_table(document: str, name: str, table: str) -> str:
     return before + begin + table + end + after
 
 
-def readme_tables() -> dict[str, str]:
-    """Write the README's tables, by the name of their place in it."""
+def page_tables() -> dict[str, dict[str, str]]:
+    """Write the tables of each page, by the name of their place in it."""
     methods = [
         (f'`{m.name}`', m.summary, 'q, f, s' if m.tunable else '', 'yes' if m.onboard else '')
         for m in METHODS.values()
@@ -113,12 +118,11 @@ def readme_tables() -> dict[str, str]:
         (f'`{f.name}`', ', '.join(f'`{suffix}`' for suffix in f.suffixes), f.summary)
         for f in FORMATS.values()
     ]
+    head = ('method', 'what it encloses', 'tuned by', 'in the node')
     return {
-        'methods': rows_table(('method', 'what it encloses', 'tuned by', 'in the node'), methods),
-        'obb_to_hbb parameters': markdown_table(TABLE + CLASS_TABLE),
-        'chip_extractor parameters': markdown_table(CHIP_TABLE),
-        'play_detections parameters': markdown_table(play_detections.TABLE),
-        'formats': rows_table(('format', 'files', 'what it is'), formats),
+        'method': {'methods': rows_table(head, methods)},
+        'formats': {'formats': rows_table(('format', 'files', 'what it is'), formats)},
+        **{node: {'parameters': markdown_table(table)} for node, table in NODE_TABLES.items()},
     }
 
 
@@ -136,10 +140,12 @@ def documents(root: Path) -> dict[Path, str]:
     dict of Path to str
         What each file should hold.
     """
-    readme = root / 'README.md'
-    text = readme.read_text(encoding='utf-8')
-    for name, table in readme_tables().items():
-        text = with_table(text, name, table)
+    pages = {}
+    for page, tables in page_tables().items():
+        path = root / 'doc' / f'{page}.md'
+        pages[path] = path.read_text(encoding='utf-8')
+        for name, table in tables.items():
+            pages[path] = with_table(pages[path], name, table)
     return {
         root / 'config' / 'obb_to_hbb.yaml': yaml_file(
             'obb_to_hbb: the recommended settings. Every parameter is here.', {}, TABLE
@@ -151,7 +157,7 @@ def documents(root: Path) -> dict[Path, str]:
         root / 'config' / 'chip_extractor.yaml': yaml_file(
             'chip_extractor: the default settings. Every parameter is here.', {}, CHIP_TABLE
         ),
-        readme: text,
+        **pages,
     }
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is written twice says the same: manifest, configuration files, README tables."""
+"""What is written twice says the same: manifest, configuration files, tables of the pages."""
 
 from importlib.metadata import version
 from pathlib import Path
@@ -22,9 +22,17 @@ from obbhbb_ros.study.harbour import harbour
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize('path', [Path('README.md'), *Path().glob('config/*.yaml')], ids=str)
+DOCUMENTS = documents(ROOT)
+
+
+@pytest.mark.parametrize('path', DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_every_document_that_follows_from_the_tables_is_up_to_date(path) -> None:
-    assert (ROOT / path).read_text(encoding='utf-8') == documents(ROOT)[ROOT / path]
+    assert path.read_text(encoding='utf-8') == DOCUMENTS[path]
+
+
+def test_every_parameter_file_and_every_marked_table_follows_from_the_tables() -> None:
+    marked = [path for path in ROOT.glob('doc/*.md') if ': begin -->' in path.read_text()]
+    assert {*ROOT.glob('config/*.yaml'), *marked} == set(DOCUMENTS)
 
 
 @pytest.mark.parametrize(('name', 'differences'), [('obb_to_hbb', {}), ('paper', PAPER)])

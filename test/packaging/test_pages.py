@@ -1,0 +1,408 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the pages show exists: links, files, commands, options, topics, reasons in diagnostics."""
+
+import argparse
+import importlib
+import importlib.util
+import re
+import shlex
+import sys
+from collections.abc import Iterator
+from importlib.metadata import entry_points
+from itertools import pairwise
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from unittest.mock import MagicMock
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+from obbhbb_ros import cli
+from obbhbb_ros.boxes import Defect
+from obbhbb_ros.downlink.budget import Dropped
+from obbhbb_ros.downlink.crops import LeftOut
+from obbhbb_ros.downlink.pairing import Unpaired
+from obbhbb_ros.nodes.documentation import NODE_TABLES
+
+ROOT = Path(__file__).parents[2]
+README = ROOT / 'README.md'
+DOC = sorted((ROOT / 'doc').glob('*.md'))
+PAGES = [README, ROOT / 'CONTRIBUTING.md', ROOT / 'QUALITY_DECLARATION.md', *DOC]
+PARSER = cli._parser()
+SUBCOMMANDS = next(
+    action.choices for action in PARSER._actions if isinstance(action, argparse._SubParsersAction)
+)
+EXECUTABLES = {
+    each.name for each in entry_points(group='console_scripts')
+    if each.value.startswith('obbhbb_ros.nodes.')
+}
+FENCE = re.compile(r'^ *```(\w*)\n(.*?)^ *```$', re.MULTILINE | re.DOTALL)
+PLACEHOLDER = re.compile(r'<\w+>')
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def text_of(path: Path) -> str:
+    return path.read_text(encoding='utf-8')
+
+
+def prose(path: Path) -> str:
+    """Give a page without its code blocks."""
+    return FENCE.sub('', text_of(path))
+
+
+def named_in(text: str, start: str) -> list[str]:
+    """Give what stands in back quotes in the first column of the first table from `start` on."""
+    assert start in text, start
+    table = re.compile(r'^\|.*\n\| ---.*\n((?:\|.*\n)+)', re.M).search(text, text.index(start))
+    return [
+        code for row in table[1].replace(r'\|', '/').splitlines()
+        for code in re.findall('`([^`]+)`', row.split('|')[1])
+    ]
+
+
+def section(text: str, title: str) -> str:
+    """Give a section of a page, up to the next of its level."""
+    found = re.search(rf'^## {re.escape(title)}\n(.*?)(?=^## |\Z)', text, re.M | re.S)
+    assert found, title
+    return found[1]
+
+
+# Links ----------------------------------------------------------------------------------------
+
+def anchors(path: Path) -> set[str]:
+    """Give the anchors that GitHub makes of a page's headings."""
+    found: set[str] = set()
+    for heading in re.findall(r'^#+ (.*)$', prose(path), re.MULTILINE):
+        slug = re.sub(r'[^\w\- ]', '', heading.lower()).replace(' ', '-')
+        number = 0
+        while (anchor := f'{slug}-{number}' if number else slug) in found:
+            number += 1
+        found.add(anchor)
+    return found
+
+
+LINKS = [
+    (page, target) for page in PAGES
+    for target in re.findall(r'\]\(([^)\s]+)\)', re.sub('`[^`\n]*`', '', prose(page)))
+    if not target.startswith('http')
+]
+
+
+@pytest.mark.parametrize(
+    ('page', 'target'), LINKS, ids=[f'{name_of(page)} {target}' for page, target in LINKS]
+)
+def test_a_link_leads_somewhere(page: Path, target: str) -> None:
+    file, _, anchor = target.partition('#')
+    path = (page.parent / file).resolve() if file else page
+    assert path.exists()
+    assert path.is_relative_to(ROOT)
+    if anchor:
+        assert anchor in anchors(path)
+
+
+def test_every_page_can_be_reached_from_the_readme_and_the_index() -> None:
+    for start in (README, ROOT / 'doc' / 'index.md'):
+        linked = {
+            (page.parent / target.partition('#')[0]).resolve()
+            for page, target in LINKS if page == start
+        }
+        assert set(DOC) - {ROOT / 'doc' / 'index.md'} <= linked
+
+
+def test_the_readme_is_short_and_begins_with_the_two_commands() -> None:
+    lines = text_of(README).splitlines()
+    assert len(lines) <= 190
+    (_, first), *_ = FENCE.findall(text_of(README))
+    assert [line.split()[0] for line in first.splitlines()] == ['./scripts/demo', './scripts/test']
+    assert lines.index('./scripts/demo    # sets everything up, then converts a synthetic harbour '
+                       'with the real node') < 10
+
+
+FILES = [
+    (page, path) for page in [README, ROOT / 'QUALITY_DECLARATION.md', *DOC]
+    for path in re.findall(
+        r'`((?:\./)?(?:config|doc|launch|scripts|test|\.ci)/[\w./-]*)`', prose(page)
+    )
+]
+
+
+@pytest.mark.parametrize(('page', 'path'), FILES, ids=[f'{name_of(p)} {f}' for p, f in FILES])
+def test_a_file_that_is_named_exists(page: Path, path: str) -> None:
+    assert (ROOT / path).exists()
+
+
+# Commands -------------------------------------------------------------------------------------
+
+def commands(page: Path) -> list[list[str]]:
+    """Give the command lines of a page, as the words that a shell makes of them."""
+    blocks = [block for language, block in FENCE.findall(text_of(page)) if language == 'bash']
+    found = []
+    for block in blocks:
+        waiting = ''
+        for line in block.replace('\\\n', ' ').replace(' && ', '\n').splitlines():
+            waiting += line + '\n'
+            try:
+                words = shlex.split(waiting, comments=True)
+            except ValueError:
+                # A quotation that goes on in the next line.
+                continue
+            waiting = ''
+            while words and re.match('[A-Z_]+=', words[0]):
+                del words[0]
+            if words:
+                found.append(words)
+        assert not waiting, waiting
+    return found
+
+
+SHOWN = [(page, command) for page in PAGES for command in commands(page)]
+
+
+def shown(*start: str) -> pytest.MarkDecorator:
+    """Give the test every command that begins like that."""
+    found = [(page, words) for page, words in SHOWN if words[:len(start)] == list(start)]
+    assert found, start
+    return pytest.mark.parametrize(
+        'words', [words for _, words in found],
+        ids=[f'{name_of(page)} {shlex.join(words)}' for page, words in found],
+    )
+
+
+def parsed(words: list[str]) -> argparse.Namespace | None:
+    """Parse a command line of `obbhbb`; None if it cannot be parsed."""
+    try:
+        return PARSER.parse_args(words[1:])
+    except SystemExit:
+        return None
+
+
+@shown('obbhbb')
+def test_a_command_line_of_obbhbb_can_be_parsed(words: list[str]) -> None:
+    assert parsed(words)
+
+
+def runnable() -> list[list[str]]:
+    """Give the examples of `doc/commands.md` whose input the checkout has."""
+    found = []
+    for words in commands(ROOT / 'doc' / 'commands.md'):
+        if words[0] != 'obbhbb' or words[1] == 'demo' or not (options := parsed(words)):
+            continue
+        given = getattr(options, 'source', None) or getattr(options, 'labels', None) or []
+        inputs = given if isinstance(given, list) else [given]
+        if all((ROOT / path).exists() for path in inputs):
+            found.append(words[1:])
+    return found
+
+
+@pytest.mark.parametrize('words', runnable(), ids=shlex.join)
+def test_an_example_runs(words: list[str], tmp_path: Path, monkeypatch, capsys) -> None:
+    for folder in ('test', 'obbhbb_ros'):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(words) == 0
+    assert capsys.readouterr().out
+
+
+def test_there_is_an_example_that_runs_of_every_subcommand_but_the_demo() -> None:
+    assert {words[0] for words in runnable()} == set(SUBCOMMANDS) - {'demo'}
+
+
+@pytest.mark.parametrize('name', SUBCOMMANDS)
+def test_every_option_of_a_subcommand_is_documented_and_no_other(name: str) -> None:
+    page = text_of(ROOT / 'doc' / 'commands.md')
+    labels = section(page, 'Label files')
+    parts = [section(page, f'`obbhbb {name}`'), labels if f'`{name}`' in labels else '']
+    documented = [each for part in parts if part for each in named_in(part, '| option |')]
+    real = {
+        option for action in SUBCOMMANDS[name]._actions for option in action.option_strings
+    } - {'-h', '--help'}
+    assert sorted(each.split(maxsplit=1)[0] for each in documented) == sorted(real)
+
+
+@shown('ros2', 'run', 'obbhbb_ros')
+def test_an_executable_and_its_parameters_exist(words: list[str]) -> None:
+    node = words[3]
+    assert node in EXECUTABLES
+    for flag, value in pairwise(words):
+        if flag == '-p':
+            assert value.partition(':=')[0] in {spec.name for spec in NODE_TABLES[node]}
+
+
+@shown('ros2', 'param', 'set')
+def test_a_parameter_that_is_set_exists_and_takes_the_value(words: list[str]) -> None:
+    _, _, _, node, name, value = words
+    (spec,) = (spec for spec in NODE_TABLES[node.lstrip('/')] if spec.name == name)
+    assert not spec.read_only
+    spec.check(type(spec.default)(value.removeprefix('.')))
+
+
+@shown('ros2', 'lifecycle', 'set')
+def test_a_node_whose_state_is_set_exists(words: list[str]) -> None:
+    assert words[3].lstrip('/') in EXECUTABLES
+
+
+def launch_arguments(file: Path) -> list[str]:
+    """Give the arguments of a launch file, with stand-ins for what it imports."""
+    declared: list[str] = []
+    actions = MagicMock()
+    actions.DeclareLaunchArgument = lambda name, **_: declared.append(name)
+    names = {
+        'launch', 'launch.conditions', 'launch.substitutions', 'launch_ros', 'launch_ros.actions',
+        'ament_index_python', 'ament_index_python.packages',
+    }
+    stand_ins = {name: MagicMock() for name in names} | {'launch.actions': actions}
+    with pytest.MonkeyPatch.context() as patch:
+        for name, module in stand_ins.items():
+            patch.setitem(sys.modules, name, module)
+        spec = importlib.util.spec_from_file_location('launch_file', file)
+        module = ModuleType('launch_file')
+        spec.loader.exec_module(module)
+        module.generate_launch_description()
+    return declared
+
+
+@shown('ros2', 'launch', 'obbhbb_ros')
+def test_a_launch_file_and_its_arguments_exist(words: list[str]) -> None:
+    known = launch_arguments(ROOT / 'launch' / words[3])
+    assert all(word.partition(':=')[0] in known for word in words[4:])
+
+
+@pytest.mark.parametrize('file', sorted((ROOT / 'launch').glob('*.py')), ids=name_of)
+def test_every_argument_of_a_launch_file_is_documented(file: Path) -> None:
+    page = text_of(ROOT / 'doc' / 'deployment.md')
+    named = named_in(page, f'| argument of `{file.name}` |')
+    assert sorted(named) == sorted(launch_arguments(file))
+
+
+SCRIPTS = [
+    (page, words) for page, words in SHOWN
+    if re.match(r'\./scripts/|(\.venv/bin/)?python$', words[0])
+]
+
+
+@pytest.mark.parametrize('words', [words for _, words in SCRIPTS], ids=shlex.join)
+def test_a_script_or_module_that_is_run_exists(words: list[str]) -> None:
+    if words[0].startswith('./'):
+        assert (ROOT / words[0]).is_file()
+    elif words[1] == '-m':
+        assert importlib.util.find_spec(words[2])
+    else:
+        assert (ROOT / words[1]).is_file()
+
+
+# Code and parameter files ---------------------------------------------------------------------
+
+def blocks(language: str, *left_out: str) -> pytest.MarkDecorator:
+    """Give the test every code block of a language."""
+    found = [
+        (page, block) for page in PAGES if page.stem not in left_out
+        for kind, block in FENCE.findall(text_of(page)) if kind == language
+    ]
+    assert found, language
+    return pytest.mark.parametrize(
+        'block', [block for _, block in found], ids=[name_of(page) for page, _ in found]
+    )
+
+
+# The page of the figures needs data that the package does not have.
+@blocks('python', 'reproduction')
+def test_an_example_in_python_runs(block: str) -> None:
+    exec(block, {})
+
+
+@pytest.mark.parametrize('name', named_in(text_of(ROOT / 'doc' / 'python.md'), '| name |'))
+def test_a_name_of_the_python_api_exists_and_is_described(name: str) -> None:
+    module, _, attribute = name.rpartition('.')
+    assert getattr(importlib.import_module(module), attribute).__doc__
+
+
+@blocks('yaml')
+def test_a_parameter_file_that_is_shown_can_be_used(block: str) -> None:
+    ((node, content),) = yaml.safe_load(block).items()
+    if node == 'lifecycle_manager':
+        return
+    given = dict(flat(content['ros__parameters']))
+    classes = '|'.join(given.get('class_ids', ['none']))
+    specs = {spec.name: spec for table in NODE_TABLES.values() for spec in table}
+    for name, value in given.items():
+        spec = specs[re.sub(rf'^classes\.({classes})\.', 'classes.<id>.', name)]
+        assert type(value) is type(spec.default)
+        spec.check(value)
+
+
+def flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            yield from flat(value, f'{prefix}{name}.')
+        else:
+            yield prefix + name, value
+
+
+# Nodes ----------------------------------------------------------------------------------------
+
+MANAGED = ['obb_to_hbb', 'chip_extractor']
+SOURCES = '\n'.join(map(text_of, sorted((ROOT / 'obbhbb_ros').glob('**/*.py'))))
+
+
+@pytest.mark.parametrize('node', MANAGED)
+def test_the_topics_of_a_page_are_those_of_the_security_policy(node: str) -> None:
+    # Another test compares the policy with the running node.
+    policy = ElementTree.parse(ROOT / 'config' / 'security' / 'policy.xml')
+    page = text_of(ROOT / 'doc' / f'{node}.md')
+    for title, action in (('Subscribed', 'subscribe'), ('Published', 'publish')):
+        (topics,) = policy.iterfind(f".//profile[@node='{node}']/topics[@{action}='ALLOW']")
+        allowed = {topic.text for topic in topics} - {
+            '~/transition_event', '/parameter_events', '/rosout',
+        }
+        # Instead of `detections`, which the policy has.
+        named = set(named_in(page, f'## {title} topics\n')) - {'polygons'}
+        assert named == allowed
+
+
+def test_the_pages_state_the_defaults_of_the_node() -> None:
+    defaults = {spec.name: spec.default for spec in NODE_TABLES['obb_to_hbb']}
+    (values,) = re.findall(r'^\| `q`, `f`, `s` \| ([^|]*) \|', text_of(README), re.M)
+    assert [float(each) for each in values.split(',')] == [defaults[name] for name in 'qfs']
+    rows = re.findall(r'^\| ([qfs]) \|.* \| (\S+) \|$', text_of(ROOT / 'doc' / 'method.md'), re.M)
+    assert {name: float(value) for name, value in rows} == {name: defaults[name] for name in 'qfs'}
+    assert f'| `method` | `{defaults["method"]}` |' in text_of(README)
+
+
+def test_the_topics_of_the_player_stand_in_its_code() -> None:
+    page = text_of(ROOT / 'doc' / 'play_detections.md')
+    code = text_of(ROOT / 'obbhbb_ros' / 'nodes' / 'play_detections.py')
+    for topic in named_in(page, '## Published topics\n'):
+        assert f"'{topic}'" in code
+
+
+@pytest.mark.parametrize(
+    ('node', 'mark', 'reasons'),
+    [
+        ('obb_to_hbb', 'detections', {each.name.lower() for each in Defect} - {'none'}),
+        ('obb_to_hbb', 'crops', {each.value for each in LeftOut}),
+        ('chip_extractor', 'unpaired', {each.value for each in Unpaired}),
+        (
+            'chip_extractor', 'chips',
+            {each.value for each in Dropped}
+            | {'image_refused', 'no_subscriber', 'crop_plan_<reason>'},
+        ),
+    ],
+)
+def test_every_reason_in_the_diagnostics_is_explained(node, mark, reasons) -> None:
+    page = text_of(ROOT / 'doc' / f'{node}.md')
+    assert set(named_in(page, f'<!-- reasons: {mark} -->')) == reasons
+
+
+@pytest.mark.parametrize('node', MANAGED)
+def test_a_key_of_the_diagnostics_that_is_explained_exists(node: str) -> None:
+    page = text_of(ROOT / 'doc' / f'{node}.md')
+    keys = named_in(page, '<!-- keys of /diagnostics -->')
+    assert len(keys) == len(set(keys)) > 15
+    for key in keys:
+        if not PLACEHOLDER.search(key):
+            assert f"'{key.removesuffix('_per_second')}'" in SOURCES, key

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every key that a node publishes on /diagnostics is explained on its page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from harness import Converter
+from harness import Site
+from harness import values_of
+from lifecycle_msgs.msg import Transition
+from ships import detections
+from ships import fleet
+from test_chip_extractor import ChipNode
+from vision_msgs.msg import Detection2DArray
+
+DOC = Path(__file__).parents[2] / 'doc'
+# Which code has read a message is of no use to an operator.
+OF_NO_USE = r'fast_path|typed_path\..+'
+NAN, OUTSIDE = (np.nan, 0.0, 1.0, 1.0, 0.0), (1e6, 1e6, 10.0, 5.0, 0.0)
+
+
+def unexplained(keys: Iterable[str], page: str) -> list[str]:
+    """List the keys that no row of the page's table stands for."""
+    text = (DOC / page).read_text(encoding='utf-8').partition('<!-- keys of /diagnostics -->')[2]
+    table = text.lstrip().partition('\n\n')[0]
+    known = [
+        re.escape(key).replace('<name>', '.+').replace('<reason>', '[a-z_]+')
+        for key in re.findall(r'^\| `([^`]+)`', table, re.MULTILINE)
+    ]
+    return [key for key in keys if not re.fullmatch('|'.join([*known, OF_NO_USE]), key)]
+
+
+def test_every_key_of_the_conversion_node_is_explained(start: Callable[..., Converter]) -> None:
+    node = start()
+    node.connect()
+    answers: list[Any] = node.peer.collect(Detection2DArray, 'crop_regions')
+    node.convert(detections(fleet(3)))
+    node.set({
+        'image_width': 1000, 'image_height': 1000, 'crop.compare_outer': True,
+        'crop.merge_max_size': 1000, 'crop.max_count': 1, 'class_ids': ['tug'],
+    })
+    node.connect(answers)
+    node.convert(detections([*fleet(50), NAN, OUTSIDE]))
+    node.set({'invalid_policy': 'keep', 'crop.max_count': 0, 'crop.max_pixels': 1})
+    node.publisher.publish(b'\0\1\0\0' + bytes(5))
+    node.convert(detections([*fleet(3), NAN]))
+    assert node.change_state(Transition.TRANSITION_DEACTIVATE)
+    node.send(detections(fleet(3)))
+    node.wait(lambda: node.counts()['messages_while_inactive'], 'a message while inactive')
+    keys = values_of(node.next_report())
+    assert {
+        'messages_unreadable', 'messages_without_image_size', 'detections_kept.not_finite',
+        'crop_pixels.saved_percent', 'crops_merged_away', 'crops_left_out.max_count',
+    } <= set(keys)
+    assert not unexplained(keys, 'obb_to_hbb.md')
+
+
+def test_every_key_of_the_chip_node_is_explained(site: Site) -> None:
+    node = ChipNode(site, codec='png', **{'cache.max_age': 0.5, 'budget.max_chips': 2})
+    try:
+        node.connect()
+        pixels = np.zeros((8, 8), np.uint8)
+        node.send(pixels, 'mono8', [(0, 0, 4, 4), (100, 100, 104, 104), *[(0, 0, 8, 8)] * 3])
+        node.send(pixels, 'strange', [(0, 0, 4, 4)])
+        node._image.publish(b'\0\1\0\0' + bytes(5))
+        node.send_plan([(0, 0, 4, 4)], node.stamp())
+        node.wait(lambda: node.counts()['chips_dropped.crop_plan_expired'], 'a lonely plan')
+        assert not node.counts()['chips_waiting']
+        keys = node.counts()
+        assert {
+            'messages_unreadable', 'chips_dropped.image_refused', 'chips_dropped.frame_max_chips',
+            'chips_dropped.outside_image', 'crop_plans_dropped.expired', 'budget_available',
+        } <= set(keys)
+        assert not unexplained(keys, 'chip_extractor.md')
+    finally:
+        node.close()
