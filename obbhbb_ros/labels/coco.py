@@ -94,7 +94,7 @@ def _by_id(
     def parse_new(record: Any) -> tuple[Id, Item]:
         key = _id(record, 'id')
         if key in found:
-            raise ValueError(f'id {key!r} is there already')
+            raise ValueError(f'id {key!r} is already used')
         return key, parse(record)
 
     for _, _, (key, item) in file.parse_each(numbered(name, records), parse_new):
@@ -105,7 +105,7 @@ def _by_id(
 def _id(record: object, name: str) -> Id:
     key = json_member(record, name)
     if isinstance(key, bool) or not isinstance(key, int | str):
-        raise ValueError(f'{name!r} is {key!r}, which is no id')
+        raise ValueError(f'{name!r} is {key!r}, which is not an id')
     return key
 
 
@@ -119,7 +119,7 @@ def _known_id(record: object, name: str, known: Collection[Id]) -> Id:
 def _image(record: dict[str, Any]) -> _Image:
     name = json_member(record, 'file_name')
     if not isinstance(name, str) or not name:
-        raise ValueError("'file_name' is no name")
+        raise ValueError("'file_name' is not a name")
     return _Image(plain_text(name), image_size_of(record.get('width'), record.get('height')))
 
 

@@ -249,7 +249,7 @@ def _write_rows(
     lines = [_join_row(columns)]
     for image in images:
         if not image.image:
-            raise ValueError(f'an image without a name cannot stand in a table ({image.source})')
+            raise ValueError(f'a table cannot hold an image without a name (from {image.source})')
         rows = rows_of(image) if image.class_ids else [[image.image]]
         lines += [_join_row(_filled(row, len(columns))) for row in rows]
     text.write_lines(path, lines)

@@ -90,12 +90,13 @@ def target_files(
             raise ValueError(f'{path}: one file holds one image, not {len(images)}: name a folder')
         return [(path, images[0])]
     targets: dict[str, AnyImage] = {}
-    for labels in images:
-        name = f'{_file_stem(labels.image)}{suffix}'
-        other = targets.setdefault(name, labels)
-        if other is not labels:
-            raise ValueError(f'{path / name}: both {other.image!r} and {labels.image!r} go there')
-    return [(path / name, labels) for name, labels in targets.items()]
+    for image in images:
+        name = f'{_file_stem(image.image)}{suffix}'
+        other = targets.setdefault(name, image)
+        if other is not image:
+            both = f'both {other.image!r} and {image.image!r}'
+            raise ValueError(f'{path / name}: {both} would be written there')
+    return [(path / name, image) for name, image in targets.items()]
 
 
 def write_each(
@@ -122,5 +123,5 @@ def bare_name(image: str) -> str:
 def _file_stem(image: str) -> str:
     name = bare_name(image)
     if not name or name.startswith('.') or name == Path(CLASSES_FILE).stem:
-        raise ValueError(f'image {image!r} makes no name for a label file')
+        raise ValueError(f'image {image!r}: no label file can have this name')
     return name

@@ -126,7 +126,7 @@ def _detect_by_suffix(path: Path, files: Sequence[Path]) -> Format:
     blank = all(not _head(file).strip() for file in files)
     if len(candidates) == 1 or (candidates and blank):
         return next(iter(candidates.values()))
-    raise ValueError(f'{path}: cannot tell the label format: known are {names(FORMATS.values())}')
+    raise ValueError(f'{path}: cannot detect the label format: known are {names(FORMATS.values())}')
 
 
 def _formats_of(file: Path) -> list[Format]:
@@ -220,7 +220,7 @@ def _checked_size(image_size: tuple[int, int]) -> ImageSize:
     except (TypeError, ValueError):
         raise ValueError(f'image_size {image_size!r} is not (width, height)') from None
     if width <= 0 or height <= 0:
-        raise ValueError(f'image_size {image_size!r} is not positive')
+        raise ValueError(f'image_size {image_size!r} is not two positive numbers')
     return width, height
 
 

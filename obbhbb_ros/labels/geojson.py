@@ -96,7 +96,7 @@ def _rings(geometry: object) -> list[FloatArray]:
         raise ValueError('no geometry')
     kind = json_member(geometry, 'type')
     if kind not in POLYGONS:
-        raise ValueError(f'a {kind} is no polygon')
+        raise ValueError(f'a {kind} is not a polygon')
     rings: list[FloatArray] | ValueError = json_member(geometry, 'coordinates')
     if isinstance(rings, ValueError):
         raise rings

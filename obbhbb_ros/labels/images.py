@@ -87,11 +87,11 @@ def stored_size(labels: Path) -> ImageSize:
     """
     image = _image_of(labels, labels.stem)
     if image is None:
-        raise LabelError(labels, None, 'no image beside it or in images/ to size it')
+        raise LabelError(labels, None, 'no image beside it or in images/ to read the size from')
     try:
         return _shown_size(image)
     except ImportError:
-        message = f'the size of {image} takes Pillow, which is not installed'
+        message = f'reading the size of {image} needs Pillow, which is not installed'
         raise LabelError(labels, None, message) from None
     except Exception as error:
         # As wide as that because Pillow's readers raise whatever a damaged file leads them to.

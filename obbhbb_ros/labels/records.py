@@ -124,7 +124,7 @@ class ImageLabels:
         for name, shape in wanted.items():
             got = getattr(self, name).shape
             if got != shape:
-                raise ValueError(f'{name} has shape {got}, class_ids ask for {shape}')
+                raise ValueError(f'{name} has shape {got}, not {shape} for {count} class_ids')
         for name, values in (('ids', self.ids), ('hulls', self.hulls)):
             if len(values) != count:
                 raise ValueError(f'{name} has {len(values)} entries for {count} class_ids')

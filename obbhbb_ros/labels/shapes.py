@@ -148,7 +148,7 @@ def outer_rings(geometry: Any) -> list[FloatArray]:
     if geometry is None or shapely.is_empty(geometry):
         raise ValueError('no geometry')
     if geometry.geom_type not in {'Polygon', 'MultiPolygon'}:
-        raise ValueError(f'a {geometry.geom_type} is no polygon')
+        raise ValueError(f'a {geometry.geom_type} is not a polygon')
     rings = shapely.get_exterior_ring(shapely.get_parts(geometry))
     return [shapely.get_coordinates(ring) for ring in rings]
 

@@ -91,7 +91,7 @@ def _document(image: ImageBoxes) -> list[str]:
         _add(SubElement(root, 'size'), width=str(width), height=str(height), depth='3')
     for box in image.rows():
         if not box.class_id.strip():
-            raise ValueError(f'image {image.image!r}: a class without a name cannot stand in VOC')
+            raise ValueError(f'image {image.image!r}: VOC needs a name for every class')
         element = SubElement(root, 'object')
         _add(element, name=box.class_id, pose='Unspecified', truncated='0', difficult='0')
         bounds = map(repr, box.xyxy)

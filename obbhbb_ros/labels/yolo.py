@@ -166,7 +166,7 @@ def _numbered_names(folder: Path, used: Iterable[str]) -> list[str]:
         return []
     for name in distinct:
         if not name or name != name.strip() or name.splitlines() != [name]:
-            raise ValueError(f'class {name!r} cannot stand as a line of {CLASSES_FILE}')
+            raise ValueError(f'class {name!r} cannot be a line of {CLASSES_FILE}')
     known = _class_names(folder)
     return known + [name for name in distinct if name not in known]
 

@@ -75,7 +75,7 @@ def test_a_label_file_has_the_bare_name_of_its_image(
 def test_a_name_that_would_not_be_read_back_is_refused(
     make: Make, tmp_path: Path, image: str
 ) -> None:
-    with pytest.raises(ValueError, match='no name for a label file'):
+    with pytest.raises(ValueError, match='no label file can have this name'):
         write_labels(tmp_path, [make('good'), make(image)], 'dota')
     assert _names(tmp_path) == []
 

@@ -123,8 +123,8 @@ def test_a_collection_without_features_is_an_image_without_boxes(put: Put) -> No
 @pytest.mark.parametrize(
     ('bad', 'message'),
     [
-        (_feature([1, 2], 'Point'), 'a Point is no polygon'),
-        (_feature([TILTED], ['Polygon']), 'is no polygon'),
+        (_feature([1, 2], 'Point'), 'a Point is not a polygon'),
+        (_feature([TILTED], ['Polygon']), 'is not a polygon'),
         (_feature([]), 'empty'),
         (_feature('x'), 'not an array of rings'),
         (_feature(['x']), 'not a list of positions'),
@@ -182,7 +182,7 @@ def test_a_table_of_wkt_may_name_images_and_scores(put: Put) -> None:
         ('"POLYGON ((0 0, 1"', 'not WKT'),
         ('hello', 'not WKT'),
         ('', ''),
-        ('POINT (1 2)', 'a Point is no polygon'),
+        ('POINT (1 2)', 'a Point is not a polygon'),
         ('POLYGON EMPTY', 'no geometry'),
         ('"POLYGON ((0 0, 1 1, 2 2, 0 0))"', 'no area'),
         ('"POLYGON ((0 0, 1 1))"', 'not WKT'),
@@ -243,7 +243,7 @@ def test_a_shapefile_of_points_has_no_polygons(tmp_path: Path) -> None:
     path = _shapefile(tmp_path / 'a.shp', [shapely.Point(1, 2)], n=[1])
     (labels,) = read_labels(path, on_error=errors.append)
     assert len(labels.class_ids) == 0
-    assert [error.message for error in errors] == ['feature 0: a Point is no polygon']
+    assert [error.message for error in errors] == ['feature 0: a Point is not a polygon']
 
 
 @pytest.mark.parametrize('content', [b'', b'hello', b'\x00\x00\x27\x0a' + b'\x00' * 40])

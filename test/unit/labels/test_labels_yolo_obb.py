@@ -276,9 +276,9 @@ def test_names_that_classes_txt_has_keep_their_number(
         (IN_BOX, None, 'size is not known'),
         (IN_BOX, (32, 24), 'far outside its size'),
         (IN_BOX._replace(score=1.5), SIZE, 'scores are not within'),
-        (IN_BOX._replace(class_id=''), SIZE, 'cannot stand as a line'),
-        (IN_BOX._replace(class_id=' ship'), SIZE, 'cannot stand as a line'),
-        (IN_BOX._replace(class_id='a\nb'), SIZE, 'cannot stand as a line'),
+        (IN_BOX._replace(class_id=''), SIZE, 'cannot be a line'),
+        (IN_BOX._replace(class_id=' ship'), SIZE, 'cannot be a line'),
+        (IN_BOX._replace(class_id='a\nb'), SIZE, 'cannot be a line'),
     ],
 )
 def test_what_would_not_be_read_back_is_refused(
