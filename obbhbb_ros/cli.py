@@ -182,8 +182,9 @@ def _convert(options: argparse.Namespace) -> int:
     """Convert files, and sum up."""
     from obbhbb_ros.converter import Caps
     from obbhbb_ros.converter import HullRule
-    from obbhbb_ros.study.convert import convert_file
+    from obbhbb_ros.labels.axis_aligned import convert_file
     from obbhbb_ros.study.progress import note
+    from obbhbb_ros.study.progress import track
 
     # Conversion fills tables: looking through them for garbage takes a fifth of its time.
     gc.disable()
@@ -198,6 +199,7 @@ def _convert(options: argparse.Namespace) -> int:
             image_size=options.image_size,
             diagnostics=options.diagnostics,
             report=note,
+            progress=lambda images, total: track(images, 'converting', total),
         )
     finally:
         gc.enable()

@@ -1,30 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Label files <-> boxes: one module a format, behind one reader and one writer.
+Reading and writing of label files: one module per format, one reader and one writer for all.
 
->>> from obbhbb_ros.labels import read_labels, write_labels
->>> write_labels('ships.csv', read_labels('labelTxt/'))  # doctest: +SKIP
+See `read_labels`, `write_labels` and `write_boxes`.
 """
 
 from __future__ import annotations
 
-from obbhbb_ros.labels.converted import ConvertedImage
-from obbhbb_ros.labels.format import Format
+from obbhbb_ros.labels.formats import FORMATS
+from obbhbb_ros.labels.formats import detect_format
+from obbhbb_ros.labels.formats import read_labels
+from obbhbb_ros.labels.formats import write_boxes
+from obbhbb_ros.labels.formats import write_labels
 from obbhbb_ros.labels.matching import Matching
 from obbhbb_ros.labels.matching import match_references
-from obbhbb_ros.labels.reader import read_labels
+from obbhbb_ros.labels.records import Format
+from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import LabelError
 from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.registry import FORMATS
-from obbhbb_ros.labels.registry import detect_format
-from obbhbb_ros.labels.writer import write_boxes
-from obbhbb_ros.labels.writer import write_labels
 
 __all__ = [
     'FORMATS',
-    'ConvertedImage',
     'Format',
+    'ImageBoxes',
     'ImageLabels',
     'LabelError',
     'Matching',

@@ -1,73 +1,69 @@
 # SPDX-License-Identifier: Apache-2.0
-"""XML and JSON label files: whole documents in, with what is wrong with them as a LabelError."""
+"""XML and JSON label files: parsing of whole documents, and checks of what they hold."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import TreeBuilder
 from xml.parsers import expat
 
 from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import LabelError
-from obbhbb_ros.labels.records import OnError
+from obbhbb_ros.labels.records import ImageSize
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.text import parse_numbers
 
 # The parser goes on to the end of a block after a handler has raised.
 BLOCK_BYTES = 65536
 
 
-@dataclass(frozen=True, eq=False)
-class XmlDocument:
+def read_xml_boxes(
+    file: LabelFile, root_tag: str, objects: str, parse: Callable[[Element], Box]
+) -> tuple[Element, list[Box]]:
     """
-    A parsed XML file.
-
-    Attributes
-    ----------
-    root : Element
-        Its root.
-    lines : dict of Element to int
-        The line that each element begins in, counted from 1.
-    """
-
-    root: ElementTree.Element
-    lines: dict[ElementTree.Element, int]
-
-
-def read_xml(path: Path, root: str) -> XmlDocument:
-    """
-    Parse an XML file that may come from anywhere.
-
-    A document type declaration is refused: label files have none, and its entities may expand to
-    gigabytes or name other files.
+    Read an XML file with one element per box.
 
     Parameters
     ----------
-    path : Path
-        The file.
-    root : str
-        Tag that its root must have.
+    file : LabelFile
+        The file. A document type declaration is refused: label files have none, and its entities
+        may expand to gigabytes or name other files.
+    root_tag, objects : str
+        Tag that the root must have, and path of the objects below it.
+    parse : callable
+        Element to Box; raises ValueError if it is malformed.
 
     Returns
     -------
-    XmlDocument
-        The tree with line numbers.
+    Element, list of Box
+        The root, and the boxes in the order of the file.
 
     Raises
     ------
-    LabelError
+    FileError
         If it is not well-formed XML, has a document type declaration or another root.
-    OSError
-        If the file cannot be read.
     """
-    data = path.read_bytes()
-    builder = ElementTree.TreeBuilder()
-    lines: dict[ElementTree.Element, int] = {}
+    root, lines = _parse_xml(file)
+    if root.tag != root_tag:
+        raise file.error(f'the root is <{root.tag}>, expected <{root_tag}>', lines[root])
+    records = (
+        (lines[element], f'object {number}: ', element)
+        for number, element in enumerate(root.findall(objects), start=1)
+    )
+    return root, [box for _, _, box in file.parse_each(records, parse)]
+
+
+def _parse_xml(file: LabelFile) -> tuple[Element, dict[Element, int]]:
+    """Parse an XML file; also return the line that each element begins in."""
+    data = file.path.read_bytes()
+    builder = TreeBuilder()
+    lines: dict[Element, int] = {}
     parser = expat.ParserCreate()
     parser.buffer_text = True
 
@@ -86,67 +82,20 @@ def read_xml(path: Path, root: str) -> XmlDocument:
             parser.Parse(data[begin : begin + BLOCK_BYTES], False)
         parser.Parse(b'', True)
     except expat.ExpatError as error:
-        message = f'not XML: {expat.ErrorString(error.code)}'
-        raise LabelError(path, error.lineno, message) from None
+        raise file.error(f'not XML: {expat.ErrorString(error.code)}', error.lineno) from None
     except (ValueError, LookupError) as error:
         # An encoding that Python cannot supply to the parser is a LookupError or a ValueError.
-        raise LabelError(path, parser.CurrentLineNumber, str(error)) from None
-    document = XmlDocument(builder.close(), lines)
-    if document.root.tag != root:
-        message = f'the root is <{document.root.tag}>, expected <{root}>'
-        raise LabelError(path, lines[document.root], message)
-    return document
+        raise file.error(str(error), parser.CurrentLineNumber) from None
+    return builder.close(), lines
 
 
-def read_xml_records(
-    path: Path,
-    document: XmlDocument,
-    elements: Sequence[ElementTree.Element],
-    parse: Callable[[ElementTree.Element], Box],
-    on_error: OnError,
-) -> list[Box]:
-    """
-    Parse the objects of a file one by one.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    document : XmlDocument
-        What was read of it.
-    elements : sequence of Element
-        The objects.
-    parse : callable
-        Element to Box; raises ValueError where malformed.
-    on_error : callable
-        Gets a LabelError with line and number for each object that `parse` refuses; it is left
-        out.
-
-    Returns
-    -------
-    list of Box
-        In the order of the file.
-    """
-    boxes = []
-    for number, element in enumerate(elements, start=1):
-        try:
-            boxes.append(parse(element))
-        except ValueError as error:
-            message = f'object {number}: {error}'
-            on_error(LabelError(path, document.lines[element], message))
-    return boxes
+def xml_text(element: Element, *tags: str) -> str:
+    """Return the stripped text of the first child element that has any, else ''."""
+    texts = ((element.findtext(tag) or '').strip() for tag in tags)
+    return next(filter(None, texts), '')
 
 
-def xml_text(element: ElementTree.Element, *tags: str) -> str:
-    """Return the stripped text of the first of some child elements that has any, else ''."""
-    for tag in tags:
-        text = (element.findtext(tag) or '').strip()
-        if text:
-            return text
-    return ''
-
-
-def xml_numbers(element: ElementTree.Element, tags: Sequence[str]) -> list[float]:
+def xml_numbers(element: Element, tags: Sequence[str]) -> list[float]:
     """
     Read child elements that hold a number each.
 
@@ -158,24 +107,24 @@ def xml_numbers(element: ElementTree.Element, tags: Sequence[str]) -> list[float
     return [_xml_number(element, tag) for tag in tags]
 
 
-def _xml_number(element: ElementTree.Element, tag: str) -> float:
-    child = element.find(tag)
-    if child is None:
+def _xml_number(element: Element, tag: str) -> float:
+    text = element.findtext(tag)
+    if text is None:
         raise ValueError(f'no <{tag}> in <{element.tag}>')
     try:
-        (number,) = parse_numbers([(child.text or '').strip()])
+        (number,) = parse_numbers([text.strip()])
     except ValueError as error:
         raise ValueError(f'<{tag}>: {error}') from None
     return number
 
 
-def has_any(element: ElementTree.Element, tags: Sequence[str]) -> bool:
-    """Tell whether an element has one of some children."""
+def has_any(element: Element, tags: Sequence[str]) -> bool:
+    """Return whether an element has one of these children."""
     return any(element.find(tag) is not None for tag in tags)
 
 
-def image_size_of(width: object, height: object) -> tuple[int, int] | None:
-    """Return an image size where both are positive whole numbers or the text of one."""
+def image_size_of(width: object, height: object) -> ImageSize | None:
+    """Return an image size if both are positive whole numbers or the text of one."""
     sides = []
     for value in (width, height):
         text = str(value)
@@ -185,38 +134,32 @@ def image_size_of(width: object, height: object) -> tuple[int, int] | None:
     return (sides[0], sides[1]) if min(sides) > 0 else None
 
 
-def read_json(path: Path, shorten: Callable[[dict[str, Any]], Any] | None = None) -> Any:
+def read_json(file: LabelFile, shorten: Callable[[dict[str, Any]], Any] | None = None) -> Any:
     """
-    Parse a JSON file.
+    Parse a JSON file, UTF-8 with or without BOM.
 
-    Parameters
-    ----------
-    path : Path
-        The file, UTF-8 with or without BOM.
-    shorten : callable, optional
-        Called with each JSON object as soon as it is complete; what it returns takes its place.
-
-    Returns
-    -------
-    dict, list, str, float, int, bool or None
-        What it holds.
+    `shorten` is called with each JSON object as soon as it is complete; its result replaces the
+    object.
 
     Raises
     ------
-    LabelError
+    FileError
         If it is not JSON or nested too deeply.
-    OSError
-        If the file cannot be read.
     """
-    data = path.read_bytes()
+    data = file.path.read_bytes()
     try:
         return json.loads(data.decode('utf-8-sig'), object_hook=shorten)
     except json.JSONDecodeError as error:
-        raise LabelError(path, error.lineno, f'not JSON: {error.msg}') from None
+        raise file.error(f'not JSON: {error.msg}', error.lineno) from None
     except RecursionError:
-        raise LabelError(path, None, 'not a label file: JSON nested too deeply') from None
+        raise file.error('not a label file: JSON nested too deeply') from None
     except ValueError as error:
-        raise LabelError(path, None, f'not JSON: {error}') from None
+        raise file.error(f'not JSON: {error}') from None
+
+
+def numbered(name: str, records: Iterable[Any]) -> Iterator[tuple[None, str, Any]]:
+    """Give records, for `LabelFile.parse_each`, a place: their number from 0."""
+    return ((None, f'{name}[{index}]: ', record) for index, record in enumerate(records))
 
 
 def json_member(record: object, name: str) -> Any:
@@ -226,7 +169,7 @@ def json_member(record: object, name: str) -> Any:
     Raises
     ------
     ValueError
-        If `record` is no object, or has no such member.
+        If `record` is not an object, or has no such member.
     """
     if not isinstance(record, dict):
         raise ValueError('not a JSON object')
@@ -237,45 +180,27 @@ def json_member(record: object, name: str) -> Any:
 
 def json_numbers(values: object, count: int | None, what: str) -> list[float]:
     """
-    Check a JSON array of finite numbers.
-
-    Parameters
-    ----------
-    values : object
-        What the file has.
-    count : int or None
-        How many there must be; None for any number.
-    what : str
-        Its name, for the message.
-
-    Returns
-    -------
-    list of float
-        The numbers.
+    Check a JSON array of finite numbers: `count` of them, or any number if that is None.
 
     Raises
     ------
     ValueError
-        If it is anything else.
+        If it is anything else; the message calls it `what`.
     """
     if not isinstance(values, list) or (count is not None and len(values) != count):
         raise ValueError(f'{what} is not an array of {"" if count is None else f"{count} "}numbers')
-    return [_finite(value, what) for value in values]
+    return [json_number(value, what) for value in values]
 
 
-def json_score(value: object) -> float:
+def json_number(value: object, what: str) -> float:
     """
-    Check a score; 1.0 where there is none.
+    Check a finite number.
 
     Raises
     ------
     ValueError
-        If it is not a finite number.
+        If it is anything else; the message calls it `what`.
     """
-    return 1.0 if value is None else _finite(value, 'score')
-
-
-def _finite(value: object, what: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f'{what} has {value!r}, which is not a number')
     try:
@@ -294,29 +219,17 @@ def plain_text(value: object) -> str:
     Raises
     ------
     ValueError
-        If it holds half a character, which JSON can name and no file can hold.
+        If it is text that cannot be written to a file: JSON can hold half a character.
     """
     if isinstance(value, str):
-        return checked_text(value)
+        try:
+            value.encode()
+        except UnicodeEncodeError:
+            raise ValueError(f'{value!r} holds half a character (a lone surrogate)') from None
+        return value
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ''
     if isinstance(value, float) and value.is_integer():
-        # Tables that have a missing value somewhere keep whole numbers as 3.0.
+        # Tables with a missing value somewhere keep whole numbers as 3.0.
         return str(int(value))
     return str(value)
-
-
-def checked_text(text: str) -> str:
-    """
-    Give a text that can be written to a file.
-
-    Raises
-    ------
-    ValueError
-        If it cannot.
-    """
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        raise ValueError(f'{text!r} holds half a character (a lone surrogate)') from None
-    return text

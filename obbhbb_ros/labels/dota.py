@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-DOTA labelTxt (v1.0, v1.5, v2.0): one text file an image, one box a line, in pixels.
+DOTA labelTxt (v1.0, v1.5, v2.0): one text file per image, one box per line, in pixels.
 
 ::
 
@@ -8,56 +8,30 @@ DOTA labelTxt (v1.0, v1.5, v2.0): one text file an image, one box a line, in pix
     gsd:0.146343590398
     2753 2408 2861 2385 2888 2468 2805 2502 ship 0
 
-Header lines and the difficulty at the end are optional; commas may stand between the fields, as
-the page that describes the format prints them. The format has no ids, scores, hulls or reference
-boxes: these are not written.
+Header lines and the difficulty at the end are optional; fields may be separated by commas, as on
+the page that describes the format. Files are written with difficulty 0 and without header lines.
+The format has no ids, scores, hulls or reference boxes: these are not written.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
-from obbhbb_ros.labels.files import target_files
-from obbhbb_ros.labels.format import Format
-from obbhbb_ros.labels.format import ImageSize
+from obbhbb_ros.labels import text
+from obbhbb_ros.labels.files import write_each
 from obbhbb_ros.labels.records import Box
+from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import assemble
-from obbhbb_ros.labels.text import is_index
-from obbhbb_ros.labels.text import is_normalised
-from obbhbb_ros.labels.text import is_number
-from obbhbb_ros.labels.text import join_numbers
-from obbhbb_ros.labels.text import parse_numbers
-from obbhbb_ros.labels.text import read_boxes
-from obbhbb_ros.labels.text import write_lines
+from obbhbb_ros.labels.records import LabelFile
 
 HEADER = re.compile(r'\W*(imagesource|gsd|acquisition dates)\W*:', re.IGNORECASE)
 FIELDS = 'x1 y1 x2 y2 x3 y3 x4 y4 category [difficulty]'
 COUNTS = (9, 10)
 
 
-def read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
-    """
-    Read the one image of a labelTxt file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    image_size : tuple of int or None
-        Width and height in pixels, passed on to the labels; the format does not need it.
-    on_error : callable
-        Gets a LabelError for each malformed line.
-
-    Yields
-    ------
-    ImageLabels
-        Named after the file.
-    """
-    yield assemble(path.stem, read_boxes(path, on_error, _parse), image_size, path)
+def _read(file: LabelFile) -> list[ImageLabels]:
+    return [file.image(file.path.stem, text.read_boxes(file, _parse))]
 
 
 def _parse(line: str) -> Box | None:
@@ -66,9 +40,9 @@ def _parse(line: str) -> Box | None:
     fields = _split(line)
     if len(fields) not in COUNTS:
         raise ValueError(f'{len(fields)} fields, expected 9 or 10: {FIELDS}')
-    corners = parse_numbers(fields[:8])
+    corners = text.parse_numbers(fields[:8])
     for difficulty in fields[9:]:
-        if not is_index(difficulty):
+        if not text.is_index(difficulty):
             raise ValueError(f'difficulty {difficulty!r} is not a whole number')
     return Box(corners, fields[8])
 
@@ -77,25 +51,8 @@ def _split(line: str) -> list[str]:
     return line.replace(',', ' ').split()
 
 
-def write(path: Path, images: list[ImageLabels]) -> None:
-    """
-    Write one labelTxt file an image, difficulty 0, without header lines.
-
-    Parameters
-    ----------
-    path : Path
-        Folder, or a ``.txt`` file for a single image.
-    images : list of ImageLabels
-        The images.
-
-    Raises
-    ------
-    ValueError
-        If a class cannot stand as one field, or images and files do not fit.
-    """
-    files = [(file, _lines(labels)) for file, labels in target_files(path, images, '.txt')]
-    for file, lines in files:
-        write_lines(file, lines)
+def _write(path: Path, images: list[ImageLabels]) -> None:
+    write_each(path, images, '.txt', _lines)
 
 
 def _lines(labels: ImageLabels) -> list[str]:
@@ -107,27 +64,26 @@ def _lines(labels: ImageLabels) -> list[str]:
             )
     corners = labels.corners.reshape(-1, 8).tolist()
     pairs = zip(corners, labels.class_ids, strict=True)
-    return [f'{join_numbers(box)} {category} 0' for box, category in pairs]
+    return [f'{text.join_numbers(box)} {category} 0' for box, category in pairs]
 
 
-def sniff(head: str) -> bool:
-    """Tell whether a line is a DOTA header or a box in pixels with its category."""
+def _sniff(head: str) -> bool:
     return any(HEADER.match(line) or _looks_like_box(_split(line)) for line in head.splitlines())
 
 
 def _looks_like_box(fields: list[str]) -> bool:
-    if len(fields) not in COUNTS or not all(map(is_number, fields[:8])):
+    if len(fields) not in COUNTS or not all(map(text.is_number, fields[:8])):
         return False
-    # A category that is a number is told from the last coordinate of YOLO-OBB by the others:
-    # those are a fraction of the image, these are pixels.
-    return not is_number(fields[8]) or not is_normalised(map(float, fields[1:8]))
+    # If the category is a number, the line could be YOLO-OBB: but there the coordinates are
+    # fractions of the image, and here they are pixels.
+    return not text.is_number(fields[8]) or not text.is_normalised(map(float, fields[1:8]))
 
 
 FORMAT = Format(
     name='dota',
     suffixes=('.txt',),
-    summary=f'DOTA labelTxt, one file an image: {FIELDS}, in pixels',
-    read=read,
-    write=write,
-    sniff=sniff,
+    summary=f'DOTA labelTxt, one file per image: {FIELDS}, in pixels',
+    sniff=_sniff,
+    read=_read,
+    write=_write,
 )

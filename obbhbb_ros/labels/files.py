@@ -1,41 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which files of a folder are label files, and which file an image's labels go to."""
+"""Which files of a folder are label files, and which file an image's labels are written to."""
 
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
 from collections.abc import Collection
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Protocol
-from typing import TypeVar
 
+from obbhbb_ros.labels.records import AnyImage
 from obbhbb_ros.labels.records import LabelError
+from obbhbb_ros.labels.text import write_lines
 
 CLASSES_FILE = 'classes.txt'
 IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.tif', '.tiff', '.bmp', '.webp', '.jp2')
 
 
-class Named(Protocol):
-    """What goes to a file named after its image."""
-
-    @property
-    def image(self) -> str:
-        """Image name."""
-
-
-AnyImage = TypeVar('AnyImage', bound=Named)
-
-
 def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
     """
-    List the label files that a path stands for.
+    List the label files of a path.
 
     Parameters
     ----------
     path : Path
-        A file, which stands for itself whatever its name, or a folder, which stands for the files
-        directly in it. Hidden files and ``classes.txt`` are not label files.
+        A file, whatever its name, or a folder with label files directly in it. Hidden files and
+        ``classes.txt`` are not label files.
     suffixes : collection of str
         Suffixes to look for in a folder, lower case; files may have them in upper case.
 
@@ -47,7 +37,7 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
     Raises
     ------
     FileNotFoundError
-        If there is no such path.
+        If the path does not exist.
     ValueError
         If it is a pipe or a device.
     LabelError
@@ -58,7 +48,7 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        # A pipe would be waited for, and formats are told from what is read twice.
+        # Reading a pipe would wait for data, and detecting the format reads it twice.
         raise ValueError(f'{path}: neither a regular file nor a folder')
     files = sorted(each for each in path.iterdir() if _is_label_file(each, suffixes))
     if not files:
@@ -74,32 +64,25 @@ def _is_label_file(path: Path, suffixes: Collection[str]) -> bool:
 
 
 def target_files(
-    path: Path,
-    images: Iterable[AnyImage],
-    suffix: str,
+    path: Path, images: Iterable[AnyImage], suffix: str
 ) -> list[tuple[Path, AnyImage]]:
     """
-    Give each image a label file of its own.
+    Choose the label file of each image.
 
     Parameters
     ----------
     path : Path
         A folder, which need not exist; or, for a single image, a file that ends in `suffix`.
-    images : iterable of ImageLabels or ConvertedImage
+    images : iterable of ImageLabels or ImageBoxes
         The images.
     suffix : str
         Suffix of the format's files, with the dot.
 
-    Returns
-    -------
-    list of (Path, image)
-        In the order of `images`.
-
     Raises
     ------
     ValueError
-        If two images would share a file, a name makes no file name, or there is other than one
-        image for a file.
+        If two images have the same file, an image name makes no file name, or the path is a file
+        and there is not exactly one image.
     """
     images = list(images)
     if path.suffix.lower() == suffix and not path.is_dir():
@@ -107,24 +90,38 @@ def target_files(
             raise ValueError(f'{path}: one file holds one image, not {len(images)}: name a folder')
         return [(path, images[0])]
     targets: dict[str, AnyImage] = {}
-    for labels in images:
-        name = f'{_stem(labels.image)}{suffix}'
-        other = targets.setdefault(name, labels)
-        if other is not labels:
-            raise ValueError(f'{path / name}: both {other.image!r} and {labels.image!r} go there')
-    return [(path / name, labels) for name, labels in targets.items()]
+    for image in images:
+        name = f'{_file_stem(image.image)}{suffix}'
+        other = targets.setdefault(name, image)
+        if other is not image:
+            both = f'both {other.image!r} and {image.image!r}'
+            raise ValueError(f'{path / name}: {both} would be written there')
+    return [(path / name, image) for name, image in targets.items()]
+
+
+def write_each(
+    path: Path, images: Iterable[AnyImage], suffix: str, lines: Callable[[AnyImage], list[str]]
+) -> None:
+    """
+    Write one file per image, once all of them are known to be writable.
+
+    `lines` returns the lines of an image's file, and raises ValueError if the format cannot hold
+    them. For the others, and further errors, see `target_files`.
+    """
+    files = [(file, lines(image)) for file, image in target_files(path, images, suffix)]
+    for file, text in files:
+        write_lines(file, text)
 
 
 def bare_name(image: str) -> str:
     """Strip folders and an image suffix from an image name, as label files are named."""
-    # A table may name images by path and suffix; a label file has the bare name of its image.
     name = image.replace('\\', '/').rpartition('/')[2]
     stem, dot, suffix = name.rpartition('.')
     return stem if f'{dot}{suffix}'.lower() in IMAGE_SUFFIXES else name
 
 
-def _stem(image: str) -> str:
+def _file_stem(image: str) -> str:
     name = bare_name(image)
     if not name or name.startswith('.') or name == Path(CLASSES_FILE).stem:
-        raise ValueError(f'image {image!r} makes no name for a label file')
+        raise ValueError(f'image {image!r}: no label file can have this name')
     return name

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-HRSC2016: one XML file an image, oriented and axis-aligned box of each ship, in pixels.
+HRSC2016: one XML file per image, oriented and axis-aligned box of each ship, in pixels.
 
 ::
 
@@ -14,74 +14,43 @@ HRSC2016: one XML file an image, oriented and axis-aligned box of each ship, in 
           <mbox_cx>719.9</mbox_cx> … <mbox_h>172.7</mbox_h> <mbox_ang>1.499893</mbox_ang>
 
 ``mbox_ang`` is in radians from image +x towards +y, along ``mbox_w``. A ship without ``mbox_…``
-reads as the upright box of its ``box_…``. Difficulty, head point and segmentation are not read.
+is read as the upright box of its ``box_…``. Difficulty, head point and segmentation are not read.
+An image without a file name or id is named after the label file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from xml.etree.ElementTree import Element
 
+from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels.documents import has_any
 from obbhbb_ros.labels.documents import image_size_of
-from obbhbb_ros.labels.documents import read_xml
-from obbhbb_ros.labels.documents import read_xml_records
+from obbhbb_ros.labels.documents import read_xml_boxes
 from obbhbb_ros.labels.documents import xml_numbers
 from obbhbb_ros.labels.documents import xml_text
-from obbhbb_ros.labels.format import Format
-from obbhbb_ros.labels.format import ImageSize
 from obbhbb_ros.labels.records import NO_REFERENCE
 from obbhbb_ros.labels.records import Box
+from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import LabelError
-from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import assemble
-from obbhbb_ros.labels.shapes import oriented_corners
-from obbhbb_ros.labels.shapes import upright_corners
+from obbhbb_ros.labels.records import LabelFile
 
 ROOT = 'HRSC_Image'
 ORIENTED = ('mbox_cx', 'mbox_cy', 'mbox_w', 'mbox_h', 'mbox_ang')
 BOUNDS = ('box_xmin', 'box_ymin', 'box_xmax', 'box_ymax')
 
 
-def read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
-    """
-    Read the one image of an HRSC2016 file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    image_size : tuple of int or None
-        Width and height in pixels; None to take them from the file.
-    on_error : callable
-        Gets a LabelError for each malformed object, or one where the file is no HRSC2016 XML.
-
-    Yields
-    ------
-    ImageLabels
-        Named as the file says, else after the file.
-    """
-    try:
-        document = read_xml(path, ROOT)
-    except LabelError as error:
-        on_error(error)
-        return
-    root = document.root
-    objects = root.findall('HRSC_Objects/HRSC_Object')
-    boxes = read_xml_records(path, document, objects, _parse, on_error)
-    own_size = image_size_of(xml_text(root, 'Img_SizeWidth'), xml_text(root, 'Img_SizeHeight'))
-    name = xml_text(root, 'Img_FileName', 'Img_ID') or path.stem
-    yield assemble(name, boxes, image_size or own_size, path)
+def _read(file: LabelFile) -> list[ImageLabels]:
+    root, boxes = read_xml_boxes(file, ROOT, 'HRSC_Objects/HRSC_Object', _parse)
+    size = image_size_of(xml_text(root, 'Img_SizeWidth'), xml_text(root, 'Img_SizeHeight'))
+    return [file.image(xml_text(root, 'Img_FileName', 'Img_ID') or file.path.stem, boxes, size)]
 
 
 def _parse(element: Element) -> Box:
     reference = xml_numbers(element, BOUNDS) if has_any(element, BOUNDS) else NO_REFERENCE
     if has_any(element, ORIENTED) or reference is NO_REFERENCE:
-        corners = oriented_corners(*xml_numbers(element, ORIENTED))
+        corners = shapes.oriented_corners(*xml_numbers(element, ORIENTED))
     else:
-        corners = upright_corners(reference)
+        corners = shapes.upright_corners(reference)
     return Box(
         corners,
         class_id=xml_text(element, 'Class_ID'),
@@ -90,16 +59,10 @@ def _parse(element: Element) -> Box:
     )
 
 
-def sniff(head: str) -> bool:
-    """Tell whether the root of HRSC2016 is there."""
-    return f'<{ROOT}' in head
-
-
 FORMAT = Format(
     name='hrsc',
     suffixes=('.xml',),
-    summary='HRSC2016 XML, one file an image: mbox_cx … mbox_ang and box_xmin … of each ship',
-    read=read,
-    write=None,
-    sniff=sniff,
+    summary='HRSC2016 XML, one file per image: mbox_cx … mbox_ang and box_xmin … of each ship',
+    sniff=lambda head: f'<{ROOT}' in head,
+    read=_read,
 )

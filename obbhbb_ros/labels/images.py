@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The images that labels belong to: where they are, and their pixels. Reading takes Pillow."""
+"""The images that labels belong to: where they are, their size and pixels. Reading needs Pillow."""
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
+from collections.abc import Iterator
 from collections.abc import Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from obbhbb_ros.labels.files import IMAGE_SUFFIXES
-from obbhbb_ros.labels.image_size import image_of
-from obbhbb_ros.labels.image_size import opened_image
+from obbhbb_ros.labels.files import bare_name
 from obbhbb_ros.labels.records import ImageLabels
+from obbhbb_ros.labels.records import ImageSize
+from obbhbb_ros.labels.records import LabelError
 
+# 32768 x 32768; three bytes each are 3 GB.
+MOST_PIXELS = 2**30
+EXIF_ORIENTATION = 0x0112
+EXIF_TURNED = (5, 6, 7, 8)
 _EXACT_MODES = {'L': 'mono8', 'RGB': 'rgb8', 'RGBA': 'rgba8', 'I;16': 'mono16'}
 # Pillow before 10.3 has these for grey images of 16 bits.
 _WIDER_MODES = ('I', 'I;16B', 'I;16L')
@@ -39,11 +47,96 @@ def find_images(labels: Sequence[ImageLabels]) -> list[Path | None]:
     images_in = Counter(each.source for each in labels)
     found = []
     for each in labels:
-        path = image_of(each.source, _stem(each.image)) if _stem(each.image) else None
+        stem = bare_name(each.image)
+        path = _image_of(each.source, stem) if stem else None
         if path is None and images_in[each.source] == 1:
-            path = image_of(each.source, each.source.stem)
+            path = _image_of(each.source, each.source.stem)
         found.append(path)
     return found
+
+
+def _image_of(labels: Path, stem: str) -> Path | None:
+    for folder in _image_folders(labels.absolute().parent):
+        for suffix in IMAGE_SUFFIXES:
+            for name in (f'{stem}{suffix}', f'{stem}{suffix.upper()}'):
+                if (folder / name).is_file():
+                    return folder / name
+    return None
+
+
+def _image_folders(folder: Path) -> Iterator[Path]:
+    yield folder
+    parts = folder.parts
+    if 'labels' in parts:
+        last = len(parts) - 1 - parts[::-1].index('labels')
+        yield Path(*parts[:last], 'images', *parts[last + 1 :])
+
+
+def stored_size(labels: Path) -> ImageSize:
+    """
+    Read width and height in pixels of the image that belongs to a label file.
+
+    The image has the same stem and is beside the label file, or where Ultralytics keeps it: in
+    the folder that has ``images`` instead of the last ``labels`` in the path. The size is that of
+    the image as it is shown (EXIF orientation of JPEG applied).
+
+    Raises
+    ------
+    LabelError
+        If there is no such image, it cannot be read, or Pillow is not installed.
+    """
+    image = _image_of(labels, labels.stem)
+    if image is None:
+        raise LabelError(labels, None, 'no image beside it or in images/ to read the size from')
+    try:
+        return _shown_size(image)
+    except ImportError:
+        message = f'reading the size of {image} needs Pillow, which is not installed'
+        raise LabelError(labels, None, message) from None
+    except Exception as error:
+        # As wide as that because Pillow's readers raise whatever a damaged file leads them to.
+        raise LabelError(labels, None, f'cannot read {image} ({error})') from error
+
+
+def _shown_size(path: Path) -> ImageSize:
+    with opened_image(path) as image:
+        width, height = image.size
+        # Only for JPEG: of other formats Pillow may decode the whole image to find it.
+        turned = image.format == 'JPEG' and image.getexif().get(EXIF_ORIENTATION) in EXIF_TURNED
+    return (height, width) if turned else (width, height)
+
+
+@contextmanager
+def opened_image(path: Path) -> Iterator[Any]:
+    """
+    Open an image that may be as large as a satellite scene.
+
+    Yields
+    ------
+    PIL.Image.Image
+        The image, not decoded yet.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If Pillow is not installed.
+    OSError, ValueError
+        If it cannot be read, or has more than `MOST_PIXELS` pixels.
+    """
+    from PIL import Image
+
+    # Pillow refuses what has twice as many pixels as this, and warns before.
+    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MOST_PIXELS // 2
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', Image.DecompressionBombWarning)
+            image = Image.open(path)
+    except Image.DecompressionBombError as error:
+        raise ValueError(f'{path}: {error}') from None
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
+    with image:
+        yield image
 
 
 def load_image(path: Path) -> tuple[str, NDArray[Any]]:
@@ -58,8 +151,8 @@ def load_image(path: Path) -> tuple[str, NDArray[Any]]:
     Returns
     -------
     encoding : str
-        As in `sensor_msgs/Image`: mono8, mono16, rgb8 or rgba8; what is stored in another way is
-        turned into rgb8.
+        As in `sensor_msgs/Image`: mono8, mono16, rgb8 or rgba8; other images are converted to
+        rgb8.
     pixels : ndarray of uint8 or uint16, shape (H, W) or (H, W, C)
         As the image is shown (EXIF orientation applied).
 
@@ -82,14 +175,7 @@ def load_image(path: Path) -> tuple[str, NDArray[Any]]:
 
 
 def _as_16_bits(pixels: NDArray[Any]) -> NDArray[np.uint16] | None:
-    """Give pixels as 16 bits, if they fit."""
+    """Return the pixels as 16 bits, or None if they do not fit."""
     if pixels.size and (pixels.min() < 0 or pixels.max() > np.iinfo(np.uint16).max):
         return None
     return pixels.astype(np.uint16)
-
-
-def _stem(image: str) -> str:
-    """Take folder and image suffix off a name."""
-    name = image.replace('\\', '/').rpartition('/')[2]
-    stem, dot, suffix = name.rpartition('.')
-    return stem if f'{dot}{suffix}'.lower() in IMAGE_SUFFIXES else name

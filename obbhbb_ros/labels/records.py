@@ -1,22 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every label format is read into and written from."""
+"""What label files are read into and written from, and what a label format has to offer."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
+from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from typing import NamedTuple
 from typing import NoReturn
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from obbhbb_ros.converter import Conversion
+
 FloatArray = npt.NDArray[np.float64]
+ImageSize = tuple[int, int]
 
 NO_REFERENCE = (float('nan'),) * 4
 MIN_HULL_POINTS = 3
+DIAGNOSTICS = ('length', 'width', 'theta', 't_x', 't_y', 'capped')
+
+Value = float | bool | None
+Item = TypeVar('Item')
 
 
 class LabelError(ValueError):
@@ -30,7 +42,7 @@ class LabelError(ValueError):
     path : Path
         The file or folder at fault.
     line : int or None
-        Line of the record, counted from 1; None where the whole file is meant.
+        Line of the record, counted from 1; None for the whole file.
     message : str
         What is wrong, without path and line.
     """
@@ -46,6 +58,10 @@ class LabelError(ValueError):
         """Return ``path:line: message``, as compilers write it."""
         place = f'{self.path}' if self.line is None else f'{self.path}:{self.line}'
         return f'{place}: {self.message}'
+
+
+class FileError(LabelError):
+    """A label file that cannot be used as a whole."""
 
 
 OnError = Callable[[LabelError], None]
@@ -98,28 +114,104 @@ class ImageLabels:
     scores: FloatArray
     reference: FloatArray
     hulls: tuple[FloatArray | None, ...]
-    size: tuple[int, int] | None
+    size: ImageSize | None
     source: Path
 
     def __post_init__(self) -> None:
-        """Check that all fields speak of the same number of boxes."""
+        """Check that all fields have the same number of boxes."""
         count = len(self.class_ids)
-        self._check_shape('corners', self.corners, (count, 4, 2))
-        self._check_shape('scores', self.scores, (count,))
-        self._check_shape('reference', self.reference, (count, 4))
+        wanted = {'corners': (count, 4, 2), 'scores': (count,), 'reference': (count, 4)}
+        for name, shape in wanted.items():
+            got = getattr(self, name).shape
+            if got != shape:
+                raise ValueError(f'{name} has shape {got}, not {shape} for {count} class_ids')
         for name, values in (('ids', self.ids), ('hulls', self.hulls)):
             if len(values) != count:
                 raise ValueError(f'{name} has {len(values)} entries for {count} class_ids')
 
-    @staticmethod
-    def _check_shape(name: str, array: FloatArray, shape: tuple[int, ...]) -> None:
-        if array.shape != shape:
-            raise ValueError(f'{name} has shape {array.shape}, class_ids ask for {shape}')
+
+class BoxRow(NamedTuple):
+    """One axis-aligned box in Python numbers; a diagnostic that is not known is None."""
+
+    xyxy: list[float]
+    class_id: str
+    id: str
+    score: float
+    diagnostics: Mapping[str, Value]
+
+
+@dataclass(frozen=True, eq=False)
+class ImageBoxes:
+    """
+    The axis-aligned boxes of one image, to be written.
+
+    Attributes
+    ----------
+    image : str
+        Image name, as `ImageLabels` has it.
+    xyxy : FloatArray
+        x_min, y_min, x_max, y_max of N boxes, shape (N, 4), pixels.
+    class_ids : tuple of str
+        N classes.
+    ids : tuple of str
+        N instance ids, '' for none.
+    scores : FloatArray
+        Shape (N,).
+    size : tuple of int or None
+        Image width and height in pixels where known.
+    source : Path
+        The file the boxes came from.
+    diagnostics : Conversion or None
+        How the N boxes were computed; its `xyxy` and `valid` are not used.
+
+    Raises
+    ------
+    ValueError
+        If the fields do not agree on N, or a box is not finite.
+    """
+
+    image: str
+    xyxy: FloatArray
+    class_ids: tuple[str, ...]
+    ids: tuple[str, ...]
+    scores: FloatArray
+    size: ImageSize | None
+    source: Path
+    diagnostics: Conversion | None = None
+
+    def __post_init__(self) -> None:
+        """Check that all fields have the same number of boxes, and that these are finite."""
+        count = len(self.class_ids)
+        given = [len(self.ids), len(self.scores), len(self.xyxy)]
+        if self.diagnostics is not None:
+            given.append(len(self.diagnostics.length))
+        if given != [count] * len(given) or self.xyxy.shape != (count, 4):
+            raise ValueError(f'image {self.image!r}: fields do not agree on the number of boxes')
+        if not (np.isfinite(self.xyxy).all() and np.isfinite(self.scores).all()):
+            raise ValueError(f'image {self.image!r}: a box has a value that is not finite')
+
+    def rows(self) -> Iterator[BoxRow]:
+        """Go through the boxes, with the six diagnostics or with none."""
+        names = () if self.diagnostics is None else DIAGNOSTICS
+        columns = {name: getattr(self.diagnostics, name).tolist() for name in names}
+        rows = zip(
+            self.xyxy.tolist(), self.class_ids, self.ids, self.scores.tolist(), strict=True
+        )
+        for index, row in enumerate(rows):
+            yield BoxRow(*row, {name: _known(values[index]) for name, values in columns.items()})
+
+
+def _known(value: Value) -> Value:
+    # Rules that touch no curve have no t_x: NaN, which JSON does not know.
+    return None if value != value else value  # noqa: PLR0124
+
+
+AnyImage = TypeVar('AnyImage', ImageLabels, ImageBoxes)
 
 
 class Box(NamedTuple):
     """
-    One record of a label file: what a format's parser makes of it.
+    One record of a label file, as a format's parser returns it.
 
     `corners` holds x1 y1 … x4 y4, `reference` x1 y1 x2 y2, all in pixels.
     """
@@ -132,30 +224,63 @@ class Box(NamedTuple):
     hull: FloatArray | None = None
 
 
+@dataclass(frozen=True)
+class LabelFile:
+    """
+    A label file that is being read.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    image_size : tuple of int or None
+        Width and height of every image in pixels, as the caller gave it.
+    on_error : callable
+        Gets a LabelError for each malformed record, which is left out.
+    """
+
+    path: Path
+    image_size: ImageSize | None
+    on_error: OnError
+
+    def error(self, message: str, line: int | None = None) -> FileError:
+        """Make the error to raise if the file as a whole cannot be used."""
+        return FileError(self.path, line, message)
+
+    def parse_each(
+        self, records: Iterable[tuple[int | None, str, Any]], parse: Callable[[Any], Item]
+    ) -> Iterator[tuple[int | None, str, Item]]:
+        """
+        Parse records one by one; a malformed one costs no other.
+
+        Each record comes, and goes on, with its line where known and with what to put before an
+        error message. `parse` raises ValueError if a record is malformed.
+        """
+        for line, place, record in records:
+            try:
+                item = parse(record)
+            except ValueError as error:
+                self.on_error(LabelError(self.path, line, f'{place}{error}'))
+            else:
+                yield line, place, item
+
+    def image(self, name: str, boxes: Sequence[Box], size: ImageSize | None = None) -> ImageLabels:
+        """Gather the boxes of an image; `size` is the one in the file, unless one was given."""
+        return assemble(name, boxes, self.image_size or size, self.path)
+
+    def images(self, boxes: Mapping[str, Sequence[Box]]) -> Iterator[ImageLabels]:
+        """Gather the boxes of images by name."""
+        return (self.image(name, each) for name, each in boxes.items())
+
+
 def assemble(
-    image: str,
-    boxes: Sequence[Box],
-    size: tuple[int, int] | None,
-    source: Path,
+    image: str, boxes: Sequence[Box], size: ImageSize | None, source: Path
 ) -> ImageLabels:
     """
-    Gather the records of one image into arrays.
+    Gather the N boxes of an image, in the order of the file, into arrays.
 
-    Parameters
-    ----------
-    image : str
-        Image name.
-    boxes : sequence of Box
-        N records in the order of the file, N may be 0.
-    size : tuple of int or None
-        Image width and height in pixels where known.
-    source : Path
-        The file the records came from.
-
-    Returns
-    -------
-    ImageLabels
-        With N boxes; the arrays of an image without boxes have a leading dimension of 0.
+    Those of an image without boxes have a leading dimension of 0. `size` is width and height in
+    pixels, `source` the file that the boxes came from.
     """
     return ImageLabels(
         image=image,
@@ -172,3 +297,47 @@ def assemble(
 
 def _array(values: Sequence[object], shape: tuple[int, ...]) -> FloatArray:
     return np.array(values, dtype=np.float64).reshape(shape)
+
+
+@dataclass(frozen=True)
+class Format:
+    """
+    A label format, as its module offers it to the registry in `formats`.
+
+    Attributes
+    ----------
+    name : str
+        Name that users give.
+    suffixes : tuple of str
+        File suffixes, lower case with the dot.
+    summary : str
+        One line for help texts.
+    sniff : callable
+        ``sniff(head)``: whether the beginning of a file looks like this format, and like no other
+        one with the same suffix.
+    read : callable
+        ``read(file)`` returns the images of a `LabelFile`. It passes malformed records to its
+        `on_error`, and raises its `error` if the file as a whole cannot be used.
+    write : callable or None
+        ``write(path, images)`` writes a list of checked `ImageLabels`: to a file or, in formats
+        with one file per image, to a folder. It raises ValueError, before it writes anything,
+        for names and values that the format cannot hold. None if the format is only read.
+    write_boxes : callable or None
+        The same for a list of `ImageBoxes`. None if the format is not written with these.
+    holds_diagnostics : bool
+        Whether `write_boxes` writes the diagnostics of a conversion.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    summary: str
+    sniff: Callable[[str], bool]
+    read: Callable[[LabelFile], Iterable[ImageLabels]]
+    write: Callable[[Path, list[ImageLabels]], None] | None = None
+    write_boxes: Callable[[Path, list[ImageBoxes]], None] | None = None
+    holds_diagnostics: bool = False
+
+
+def names(formats: Iterable[Format]) -> str:
+    """List formats for a message: ``csv (.csv), dota (.txt)``."""
+    return ', '.join(f'{each.name} ({", ".join(each.suffixes)})' for each in formats)

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Corners of boxes from what formats give instead: bounds, centre and angle, polygons."""
+"""Boxes from what formats give instead of corners: bounds, centre and angle, polygons, features."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from collections.abc import Iterator
+from collections.abc import Mapping
 from collections.abc import Sequence
-from pathlib import Path
+from itertools import islice
+from typing import Any
 from typing import NamedTuple
 
 import numpy as np
@@ -17,13 +20,22 @@ from obbhbb_ros.boxes import FARTHEST
 from obbhbb_ros.boxes import Defect
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.boxes import range_defect
+from obbhbb_ros.labels.documents import plain_text
 from obbhbb_ros.labels.records import NO_REFERENCE
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import FloatArray
+from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import LabelError
-from obbhbb_ros.labels.records import OnError
+from obbhbb_ros.labels.records import LabelFile
+from obbhbb_ros.labels.text import parse_score
 
 Corners = tuple[float, float, float, float, float, float, float, float]
+
+# Names that tools use for the same property, in any case; the first one with a value counts.
+IMAGE = ('image', 'image_id', 'file_name', 'filename')
+CLASS = ('class', 'class_id', 'category', 'label', 'name')
+SCORE = ('score', 'confidence')
+INSTANCE = ('instance', 'id')
 
 BOX_CORNERS = 4
 PROBLEMS = {
@@ -39,22 +51,12 @@ PROBLEMS = {
 
 def upright_corners(xyxy: Sequence[float]) -> Corners:
     """
-    Give the corners of an axis-aligned box.
-
-    Parameters
-    ----------
-    xyxy : sequence of float
-        x_min, y_min, x_max, y_max, pixels.
-
-    Returns
-    -------
-    tuple of float
-        x1 y1 … x4 y4, around the box.
+    Return the corners x1 y1 … x4 y4, around the box, of x_min, y_min, x_max, y_max.
 
     Raises
     ------
     ValueError
-        If a maximum is less than its minimum.
+        If a maximum is less than the minimum.
     """
     x_min, y_min, x_max, y_max = xyxy
     if x_max < x_min or y_max < y_min:
@@ -77,21 +79,10 @@ def bounds_of_xywh(x: float, y: float, width: float, height: float) -> list[floa
 
 def oriented_corners(x: float, y: float, width: float, height: float, angle: float) -> Corners:
     """
-    Give the corners of a box that is turned about its centre.
+    Return the corners x1 y1 … x4 y4 of a box with centre `x`, `y` in pixels.
 
-    Parameters
-    ----------
-    x, y : float
-        Centre, pixels.
-    width, height : float
-        Extent along `angle` and across it, pixels.
-    angle : float
-        Radians from image +x towards +y.
-
-    Returns
-    -------
-    tuple of float
-        x1 y1 … x4 y4, around the box.
+    `width` is its extent along `angle` and `height` across it, pixels; `angle` is in radians from
+    image +x towards +y.
 
     Raises
     ------
@@ -114,37 +105,25 @@ def _check_size(width: float, height: float) -> None:
 
 class Outlined(NamedTuple):
     """
-    A record whose box is known or, where it has `points`, still to be laid around them.
+    A record whose box is known or, if there are rings, to be computed from them.
 
-    `place` is put before what is wrong with it, `line` is its line where known; `image` is what
-    tells its image from the others of the file.
+    `image` identifies the image in the file. `rings` are the outer rings of the ship's polygons,
+    each of shape (K, 2), closed or not.
     """
 
     image: str
-    place: str
-    line: int | None
     box: Box
-    points: FloatArray | None = None
+    rings: Sequence[FloatArray] = ()
 
 
 def ring_of(values: object) -> FloatArray:
     """
-    Turn nested lists of positions into an array.
-
-    Parameters
-    ----------
-    values : sequence of sequences of float
-        K positions; what follows x and y in each is ignored.
-
-    Returns
-    -------
-    ndarray of float64, shape (K, 2)
-        The positions.
+    Turn a list of K positions into an array of shape (K, 2); numbers after x and y are ignored.
 
     Raises
     ------
     ValueError
-        If they are anything else.
+        If it is anything else.
     """
     try:
         ring = np.asarray(values, dtype=np.float64)
@@ -155,6 +134,25 @@ def ring_of(values: object) -> FloatArray:
     return ring if ring.shape[1] == 2 else np.ascontiguousarray(ring[:, :2])
 
 
+def outer_rings(geometry: Any) -> list[FloatArray]:
+    """
+    Return the outer ring, of shape (K, 2), of each part of a shapely Polygon or MultiPolygon.
+
+    Holes and heights are ignored.
+
+    Raises
+    ------
+    ValueError
+        If it is empty, None or another geometry.
+    """
+    if geometry is None or shapely.is_empty(geometry):
+        raise ValueError('no geometry')
+    if geometry.geom_type not in {'Polygon', 'MultiPolygon'}:
+        raise ValueError(f'a {geometry.geom_type} is not a polygon')
+    rings = shapely.get_exterior_ring(shapely.get_parts(geometry))
+    return [shapely.get_coordinates(ring) for ring in rings]
+
+
 def check_coordinates(points: FloatArray) -> None:
     """
     Check that polygons can be computed with.
@@ -162,120 +160,134 @@ def check_coordinates(points: FloatArray) -> None:
     Raises
     ------
     ValueError
-        If a coordinate is not finite, or so large that GEOS crashes on it or never ends.
+        If a coordinate is not finite, or so large that GEOS crashes or never ends.
     """
     defect = range_defect(points)
     if defect != Defect.NONE:
         raise ValueError(PROBLEMS[defect])
 
 
-def outline(rings: Sequence[FloatArray], box: Box) -> tuple[Box, FloatArray]:
+def feature_record(
+    default_image: str, properties: Mapping[str, Any], rings: Sequence[FloatArray]
+) -> Outlined:
     """
-    Add the hull that the outer rings of a ship's polygons show.
+    Make a record of a geographic feature with the outer rings of its polygons.
 
-    Several parts are one ship, cut by what hides it: the hull is the convex hull of them all. A
-    ring of four corners is somebody's box and no hull. Where it is an upright rectangle it is the
-    reference box too, unless there is one.
-
-    Parameters
-    ----------
-    rings : sequence of ndarray, each of shape (K, 2)
-        The outer ring of each part, at least one; closed or not. Holes are part of the ship.
-    box : Box
-        The record; its corners are not looked at.
-
-    Returns
-    -------
-    Box, ndarray of shape (K, 2)
-        The record with the hull, and the points that its corners are to be laid around.
+    Properties that are not known are ignored; if they name no image, it is `default_image`.
 
     Raises
     ------
     ValueError
-        If there is no ring, or a value is not finite or too large.
+        If there is no ring, or the score is not a number.
     """
     if not rings:
         raise ValueError('the polygon is empty')
-    points = rings[0] if len(rings) == 1 else np.concatenate(rings)
-    check_coordinates(points)
-    ring = _without_closing(rings[0])
-    if len(rings) > 1:
-        ring = _convex_ring(points)
-    if len(rings) > 1 or len(ring) != BOX_CORNERS:
-        return box._replace(hull=ring if len(ring) >= 3 else None), points
-    if box.reference is NO_REFERENCE and _is_upright(ring):
-        reference = [*ring.min(axis=0).tolist(), *ring.max(axis=0).tolist()]
-        return box._replace(reference=reference), points
-    return box, points
-
-
-def _without_closing(ring: FloatArray) -> FloatArray:
-    closed = len(ring) > 1 and bool((ring[0] == ring[-1]).all())
-    return ring[:-1] if closed else ring
-
-
-def _convex_ring(points: FloatArray) -> FloatArray:
-    hull = shapely.convex_hull(shapely.multipoints(points))
-    return np.asarray(_without_closing(shapely.get_coordinates(hull)))
-
-
-def _is_upright(ring: FloatArray) -> bool:
-    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = ring.tolist()
-    return x0 != x2 and y0 != y2 and (
-        (y0, x1, y2, x3) == (y1, x2, y3, x0) or (x0, y1, x2, y3) == (x1, y2, x3, y0)
+    lower = {str(name).lower(): value for name, value in properties.items()}
+    box = Box(
+        corners=(),
+        class_id=_first(lower, CLASS),
+        id=_first(lower, INSTANCE),
+        score=parse_score(_first(lower, SCORE)),
     )
+    return Outlined(_first(lower, IMAGE) or default_image, box, rings)
 
 
-def enclose(path: Path, records: list[Outlined], on_error: OnError) -> list[Outlined]:
+def _first(properties: Mapping[str, Any], names: Sequence[str]) -> str:
+    for name in names:
+        if name in properties and (text := plain_text(properties[name])):
+            return text
+    return ''
+
+
+def enclose(
+    file: LabelFile, records: Iterable[tuple[int | None, str, Outlined]]
+) -> dict[str, list[Box]]:
     """
-    Lay the minimum rotated rectangle around every outline of a file.
+    Lay the minimum rotated rectangle around the rings of each record.
+
+    Several rings are one ship, partly covered: the hull is the convex hull of them all. A ring of
+    four corners is a box that somebody drew, and not a hull. If it is an upright rectangle it is
+    also the reference box, unless the record has one.
 
     Parameters
     ----------
-    path : Path
-        The file they came from.
-    records : list of Outlined
-        The records; those without points stay as they are. The list is emptied on the way: of a
-        large file there would be every outline beside its box.
-    on_error : callable
-        Gets a LabelError for each outline that no rectangle lies around; it is left out.
+    file : LabelFile
+        The file. Gets an error for each record whose rings have no rectangle; it is left out.
+    records : iterable of (int or None, str, Outlined)
+        Line, what to put before an error message, and the record, as from `LabelFile.parse_each`.
+        Only a block of rings is held at a time.
 
     Returns
     -------
-    list of Outlined
-        Every record with its corners, in the same order.
+    dict of str to list of Box
+        The boxes of each image, in the order of the records.
     """
-    complete: list[Outlined] = []
-    records.reverse()
-    while records:
-        block = records[: -BLOCK - 1 : -1]
-        del records[-BLOCK:]
-        complete += _enclosed(path, block, on_error)
-    return complete
+    images: dict[str, list[Box]] = {}
+    remaining = iter(records)
+    while block := list(islice(remaining, BLOCK)):
+        for image, box in _enclosed(file, block):
+            images.setdefault(image, []).append(box)
+    return images
 
 
-def _enclosed(path: Path, records: Sequence[Outlined], on_error: OnError) -> Iterator[Outlined]:
-    """Lay rectangles around some outlines."""
-    outlines = [record.points for record in records if record.points is not None]
+def _enclosed(
+    file: LabelFile, block: Sequence[tuple[int | None, str, Outlined]]
+) -> Iterator[tuple[str, Box]]:
+    drawn = [record for _, _, record in block if record.rings]
     with np.errstate(over='ignore', invalid='ignore'):
-        boxes = OrientedBoxes.from_polygons(outlines)
+        boxes = OrientedBoxes.from_polygons(np.concatenate(record.rings) for record in drawn)
+    complete = _with_hulls([drawn[row] for row in np.flatnonzero(boxes.valid)])
     found = zip(boxes.defects.tolist(), boxes.corners.reshape(-1, 8).tolist(), strict=True)
-    for record in records:
-        if record.points is None:
-            yield record
+    for line, place, record in block:
+        if not record.rings:
+            yield record.image, record.box
             continue
         defect, corners = next(found)
         if defect == Defect.NONE:
-            box = record.box._replace(corners=corners)
-            yield Outlined(record.image, record.place, record.line, box)
+            yield record.image, next(complete)._replace(corners=corners)
         else:
-            message = f'{record.place}{PROBLEMS[Defect(defect)]}'
-            on_error(LabelError(path, record.line, message))
+            message = f'{place}{PROBLEMS[Defect(defect)]}'
+            file.on_error(LabelError(file.path, line, message))
 
 
-def by_image(records: Sequence[Outlined]) -> dict[str, list[Box]]:
-    """Group the boxes of records by image, in the order of their first appearance."""
-    images: dict[str, list[Box]] = {}
-    for record in records:
-        images.setdefault(record.image, []).append(record.box)
-    return images
+def _with_hulls(records: Sequence[Outlined]) -> Iterator[Box]:
+    """Add hull or reference box to the boxes of records whose rings have an area."""
+    if not records:
+        return
+    outlines = _outlines([record.rings for record in records])
+    envelopes = shapely.normalize(shapely.envelope(outlines))
+    upright = shapely.equals_exact(shapely.normalize(outlines), envelopes)
+    for record, outline, is_upright in zip(records, outlines, upright.tolist(), strict=True):
+        box = record.box
+        ring = shapely.get_coordinates(outline)[:-1]
+        if len(record.rings) > 1 or len(ring) != BOX_CORNERS:
+            box = box._replace(hull=ring)
+        elif is_upright and box.reference is NO_REFERENCE:
+            box = box._replace(reference=outline.bounds)
+        yield box
+
+
+def _outlines(ships: Sequence[Sequence[FloatArray]]) -> Any:
+    """Make polygons of the rings of ships: of one ring as it is, of several their convex hull."""
+    points = [np.concatenate(rings) for rings in ships]
+    owner = np.repeat(np.arange(len(points)), [len(each) for each in points])
+    outlines = shapely.polygons(shapely.linearrings(np.concatenate(points), indices=owner))
+    several = np.array([len(rings) > 1 for rings in ships])
+    outlines[several] = shapely.convex_hull(outlines[several])
+    return outlines
+
+
+def box_features(images: Sequence[ImageBoxes]) -> tuple[list[dict[str, Any]], FloatArray]:
+    """Return the properties of N boxes as geographic features, and the boxes, shape (N, 4)."""
+    properties = [
+        {
+            'image': image.image,
+            'instance': box.id,
+            'class': box.class_id,
+            'score': box.score,
+            **box.diagnostics,
+        }
+        for image in images
+        for box in image.rows()
+    ]
+    return properties, np.concatenate([np.zeros((0, 4)), *(image.xyxy for image in images)])

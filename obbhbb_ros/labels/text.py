@@ -13,6 +13,7 @@ from pathlib import Path
 from obbhbb_ros.files import write_pieces
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import LabelError
+from obbhbb_ros.labels.records import LabelFile
 from obbhbb_ros.labels.records import OnError
 
 
@@ -20,24 +21,8 @@ def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
     """
     Read the lines of a UTF-8 file, with or without BOM, ended by LF, CRLF or CR.
 
-    Lines are decoded one by one, so that one damaged line does not take the file with it.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    on_error : callable
-        Gets a LabelError for each line that is not UTF-8; that line is left out.
-
-    Yields
-    ------
-    tuple of int and str
-        Line number, counted from 1, and the line without its end.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
+    Yields line numbers, counted from 1, and lines without their ends. `on_error` gets a LabelError
+    for each line that is not UTF-8: it is left out, and costs no other.
     """
     data = path.read_bytes().removeprefix(codecs.BOM_UTF8)
     for number, raw in enumerate(data.splitlines(), start=1):
@@ -50,36 +35,21 @@ def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
             yield number, line
 
 
-def read_boxes(path: Path, on_error: OnError, parse: Callable[[str], Box | None]) -> list[Box]:
+def read_boxes(file: LabelFile, parse: Callable[[str], Box | None]) -> list[Box]:
     """
-    Parse a file of one record a line; blank lines mean nothing.
+    Parse a file with one record per line; blank lines are ignored.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    on_error : callable
-        Gets a LabelError for each line that `parse` refuses; that line is left out.
-    parse : callable
-        Line to Box, or to None where the line holds no box; raises ValueError where malformed.
-
-    Returns
-    -------
-    list of Box
-        In the order of the file.
+    `parse` gets a line and returns a Box, or None if the line holds no box. It raises ValueError if
+    the line is malformed.
     """
-    boxes = []
-    for number, line in text_lines(path, on_error):
-        if not line.strip():
-            continue
-        try:
-            box = parse(line)
-        except ValueError as error:
-            on_error(LabelError(path, number, str(error)))
-            continue
-        if box is not None:
-            boxes.append(box)
-    return boxes
+    boxes = (box for _, _, box in file.parse_each(filled_lines(file), parse))
+    return [box for box in boxes if box is not None]
+
+
+def filled_lines(file: LabelFile) -> Iterator[tuple[int, str, str]]:
+    """Read the lines that are not blank, as `LabelFile.parse_each` takes them."""
+    lines = text_lines(file.path, file.on_error)
+    return ((number, '', line) for number, line in lines if line.strip())
 
 
 def parse_numbers(fields: Iterable[str]) -> list[float]:
@@ -105,8 +75,13 @@ def _number(field: str) -> float:
     return value
 
 
+def parse_score(field: str) -> float:
+    """Turn the field of a score into a finite number, see `parse_numbers`; 1.0 if it is empty."""
+    return _number(field) if field else 1.0
+
+
 def is_number(field: str) -> bool:
-    """Tell whether a field reads as a finite number."""
+    """Return whether a field is a finite number."""
     try:
         _number(field)
     except ValueError:
@@ -115,30 +90,29 @@ def is_number(field: str) -> bool:
 
 
 def is_index(field: str) -> bool:
-    """Tell whether a field is a whole number from 0, as class indices are."""
+    """Return whether a field is a whole number from 0, as class indices are."""
     return field.isascii() and field.isdigit()
 
 
 def is_normalised(values: Iterable[float]) -> bool:
     """
-    Tell whether coordinates may be fractions of an image.
+    Return whether coordinates can be fractions of an image.
 
-    Boxes at the border may reach out of the image, but one that lies a whole image away from it
-    was not normalised.
+    Boxes at the border may extend beyond the image, but not by a whole image.
     """
     return all(-1.0 <= value <= 2.0 for value in values)
 
 
 def join_numbers(values: Iterable[float]) -> str:
-    """Join Python floats with spaces, each as the shortest text that reads back as the same."""
+    """Join Python floats with spaces, each as the shortest text that reads back unchanged."""
     return ' '.join(map(repr, values))
 
 
 def write_lines(path: Path, lines: Iterable[str]) -> None:
     """
-    Write lines as UTF-8 with LF ends, making the folders above.
+    Write lines as UTF-8 with LF ends, and make missing folders.
 
-    Whatever fails leaves an older file as it was.
+    If writing fails, an existing file stays as it was.
 
     Raises
     ------

@@ -1,137 +1,216 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Ultralytics YOLO: one text file an image, one axis-aligned box a line, as fractions of the image.
+Ultralytics YOLO and YOLO-OBB: one text file per image, one box per line, as fractions of the image.
 
-::
+YOLO has an axis-aligned box, which is read as an upright box and as its own reference box; YOLO-OBB
+has the corners of an oriented box::
 
     0 0.512 0.734 0.322 0.481
+    0 0.780811 0.743961 0.782371 0.74686 0.777691 0.752174 0.776131 0.749758
 
-Predictions end in a confidence, those of a tracker in confidence and track id. A file
-``classes.txt`` in the folder gives names to the class indices. A box reads as an upright oriented
-box that is its own reference box.
+Predictions end with a confidence, those of a tracker with confidence and track id. A file
+``classes.txt`` in the folder, one name per line, gives the names of the class indices.
+
+The width and height of an image that has boxes must be given or are read from its image file.
+Confidences are written if a score is not 1. Classes that are all indices are written unchanged;
+otherwise they are names, numbered by ``classes.txt``: names already in it keep their number, others
+are added. Hulls, ids and the reference boxes of oriented boxes are not written.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Mapping
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from obbhbb_ros.labels.converted import ConvertedImage
-from obbhbb_ros.labels.format import Format
-from obbhbb_ros.labels.format import ImageSize
+from obbhbb_ros.labels import shapes
+from obbhbb_ros.labels import text
+from obbhbb_ros.labels.files import CLASSES_FILE
+from obbhbb_ros.labels.files import target_files
+from obbhbb_ros.labels.images import stored_size
+from obbhbb_ros.labels.records import AnyImage
 from obbhbb_ros.labels.records import Box
+from obbhbb_ros.labels.records import FileError
 from obbhbb_ros.labels.records import FloatArray
+from obbhbb_ros.labels.records import Format
+from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.shapes import bounds_of_xywh
-from obbhbb_ros.labels.shapes import upright_corners
-from obbhbb_ros.labels.text import is_normalised
-from obbhbb_ros.labels.text import parse_numbers
-from obbhbb_ros.labels.yolo_text import parse_class
-from obbhbb_ros.labels.yolo_text import parse_score
-from obbhbb_ros.labels.yolo_text import read_image
-from obbhbb_ros.labels.yolo_text import write_images
+from obbhbb_ros.labels.records import ImageSize
+from obbhbb_ros.labels.records import LabelError
+from obbhbb_ros.labels.records import LabelFile
+from obbhbb_ros.labels.records import raise_error
 
-FIELDS = 'class x_center y_center width height [confidence [track]]'
-COUNTS = (5, 6, 7)
+UPRIGHT_FIELDS = 'class x_center y_center width height [confidence [track]]'
+CORNER_FIELDS = 'class x1 y1 x2 y2 x3 y3 x4 y4 [confidence [track]]'
+
+# Line and class names to a box in fractions of the image.
+Parse = Callable[[str, Sequence[str]], Box]
 
 
-def read(path: Path, image_size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
-    """
-    Read the one image of a YOLO file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    image_size : tuple of int or None
-        Width and height in pixels; None to take them from the image that belongs to the file.
-    on_error : callable
-        Gets a LabelError for each malformed line, and one where the size or ``classes.txt``
-        cannot be read; then the file is left out.
-
-    Yields
-    ------
-    ImageLabels
-        Named after the file. Without boxes it needs no size: `size` is None where unknown.
-    """
-    yield from read_image(path, image_size, on_error, _parse)
+def _parse_upright(line: str, names: Sequence[str]) -> Box:
+    box = _parse(line, names, 4, UPRIGHT_FIELDS)
+    x, y, width, height = box.corners
+    reference = shapes.bounds_of_xywh(x - width / 2, y - height / 2, width, height)
+    return box._replace(corners=shapes.upright_corners(reference), reference=reference)
 
 
-def _parse(line: str, names: Sequence[str]) -> Box:
+def _parse_corners(line: str, names: Sequence[str]) -> Box:
+    return _parse(line, names, 8, CORNER_FIELDS)
+
+
+def _parse(line: str, names: Sequence[str], count: int, expected: str) -> Box:
+    """Parse a line with `count` coordinates, which are returned as corners."""
     fields = line.split()
-    if len(fields) not in COUNTS:
-        raise ValueError(f'{len(fields)} fields, expected 5 to 7: {FIELDS}')
-    x, y, width, height = numbers = parse_numbers(fields[1:5])
-    if not is_normalised(numbers):
+    if not count < len(fields) <= count + 3:
+        raise ValueError(f'{len(fields)} fields, expected {count + 1} to {count + 3}: {expected}')
+    coordinates = text.parse_numbers(fields[1 : count + 1])
+    if not text.is_normalised(coordinates):
         raise ValueError('the box is not normalised to 0..1')
-    reference = bounds_of_xywh(x - width / 2, y - height / 2, width, height)
-    score = parse_score(fields[5]) if len(fields) > COUNTS[0] else 1.0
-    track = fields[6] if len(fields) == COUNTS[-1] else ''
-    class_id = parse_class(fields[0], names)
-    return Box(upright_corners(reference), class_id, track, score, reference)
+    confidence, track = (*fields[count + 1 :], '', '')[:2]
+    score = text.parse_score(confidence)
+    if not 0.0 <= score <= 1.0:
+        raise ValueError(f'confidence {confidence} is not within 0..1')
+    return Box(coordinates, _parse_class(fields[0], names), track, score)
 
 
-def write_boxes(path: Path, images: list[ConvertedImage]) -> None:
-    """
-    Write one YOLO file an image, with confidences where a score is not 1.
-
-    Classes that all are indices are written as they are. Otherwise they are names, and
-    ``classes.txt`` beside the files numbers them: names it has keep their number, others follow.
-
-    Parameters
-    ----------
-    path : Path
-        Folder, or a ``.txt`` file for a single image.
-    images : list of ConvertedImage
-        The images; those with boxes need a `size`.
-
-    Raises
-    ------
-    ValueError
-        If an image has boxes but no size, boxes far outside of it, scores outside 0..1 or a class
-        that cannot stand in a line, or if images and files do not fit.
-    LabelError
-        If a ``classes.txt`` is there and cannot be read.
-    """
-    write_images(path, images, _normalised)
+def _parse_class(field: str, names: Sequence[str]) -> str:
+    if not text.is_index(field):
+        raise ValueError(f'class index {field!r} is not a whole number')
+    index = int(field)
+    if not names:
+        return str(index)
+    if index >= len(names) or not names[index]:
+        raise ValueError(f'class {index} has no name in {CLASSES_FILE}')
+    return names[index]
 
 
-def _normalised(converted: ConvertedImage) -> FloatArray:
-    if not converted.class_ids:
-        return converted.xyxy
-    if converted.size is None:
-        raise ValueError(f'image {converted.image!r}: its size is not known, YOLO needs it')
-    low, high = converted.xyxy[:, :2], converted.xyxy[:, 2:]
-    xywh = np.hstack(((low + high) / 2, high - low)) / np.tile(converted.size, 2)
-    if not is_normalised(xywh.flat):
-        size = converted.size
-        raise ValueError(f'image {converted.image!r}: a box lies far outside its size {size}')
-    return xywh
-
-
-def sniff(head: str) -> bool:
-    """Tell whether a line is a class index and a normalised box."""
-    return any(map(_looks_like_box, head.splitlines()))
-
-
-def _looks_like_box(line: str) -> bool:
+def _read(parse: Parse, file: LabelFile) -> list[ImageLabels]:
     try:
-        _parse(line, ())
+        names = _class_names(file.path.parent)
+    except LabelError as error:
+        raise FileError(*error.args) from None
+    boxes = text.read_boxes(file, lambda line: parse(line, names))
+    size = file.image_size or _stored_size(file, needed=bool(boxes))
+    labels = file.image(file.path.stem, boxes, size)
+    scale = np.array(size or (1, 1), dtype=np.float64)
+    corners, reference = labels.corners * scale, labels.reference * np.tile(scale, 2)
+    return [replace(labels, corners=corners, reference=reference)]
+
+
+def _stored_size(file: LabelFile, needed: bool) -> ImageSize | None:
+    try:
+        return stored_size(file.path)
+    except LabelError as error:
+        if needed:
+            raise file.error(f'{error.message}: pass image_size=(width, height)') from None
+        return None
+
+
+def _class_names(folder: Path) -> list[str]:
+    """Read the names in ``classes.txt``, '' for a blank line; none if there is no such file."""
+    path = folder / CLASSES_FILE
+    if not path.is_file():
+        return []
+    return [line.strip() for _, line in text.text_lines(path, raise_error)]
+
+
+def _write(path: Path, images: list[ImageLabels]) -> None:
+    _write_images(path, images, _corner_fractions)
+
+
+def _corner_fractions(labels: ImageLabels) -> FloatArray:
+    return labels.corners.reshape(-1, 8) / _repeated_size(labels, 4)
+
+
+def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
+    _write_images(path, images, _upright_fractions)
+
+
+def _upright_fractions(image: ImageBoxes) -> FloatArray:
+    low, high = image.xyxy[:, :2], image.xyxy[:, 2:]
+    return np.hstack(((low + high) / 2, high - low)) / _repeated_size(image, 2)
+
+
+def _repeated_size(image: ImageLabels | ImageBoxes, times: int) -> FloatArray:
+    """Give the image size as often as there are pairs of coordinates."""
+    if image.class_ids and image.size is None:
+        raise ValueError(f'image {image.image!r}: its size is not known, YOLO needs it')
+    return np.tile(np.array(image.size or (1, 1), dtype=np.float64), times)
+
+
+def _write_images(
+    path: Path, images: list[AnyImage], fractions: Callable[[AnyImage], FloatArray]
+) -> None:
+    """Write one file per image, once all of them are known to be writable."""
+    targets = target_files(path, images, '.txt')
+    folder = path if not targets else targets[0][0].parent
+    names = _numbered_names(folder, [name for image in images for name in image.class_ids])
+    numbers = {name: str(index) for index, name in enumerate(names)}
+    files = [(file, _lines(image, numbers, fractions(image))) for file, image in targets]
+    if names:
+        text.write_lines(folder / CLASSES_FILE, names)
+    for file, lines in files:
+        text.write_lines(file, lines)
+
+
+def _numbered_names(folder: Path, used: Iterable[str]) -> list[str]:
+    """List the names for ``classes.txt``, those already in it first; none for plain indices."""
+    distinct = list(dict.fromkeys(used))
+    if all(text.is_index(name) and name == str(int(name)) for name in distinct):
+        return []
+    for name in distinct:
+        if not name or name != name.strip() or name.splitlines() != [name]:
+            raise ValueError(f'class {name!r} cannot be a line of {CLASSES_FILE}')
+    known = _class_names(folder)
+    return known + [name for name in distinct if name not in known]
+
+
+def _lines(
+    image: ImageLabels | ImageBoxes, numbers: Mapping[str, str], boxes: FloatArray
+) -> list[str]:
+    if not text.is_normalised(boxes.flat):
+        raise ValueError(f'image {image.image!r}: a box lies far outside its size {image.size}')
+    if np.any((image.scores < 0.0) | (image.scores > 1.0)):
+        raise ValueError(f'image {image.image!r}: scores are not within 0..1')
+    if np.any(image.scores != 1.0):
+        boxes = np.column_stack((boxes, image.scores))
+    pairs = zip(image.class_ids, boxes.tolist(), strict=True)
+    return [f'{numbers.get(name, name)} {text.join_numbers(row)}' for name, row in pairs]
+
+
+def _fits(parse: Parse, head: str) -> bool:
+    return any(_is_box(parse, line) for line in head.splitlines())
+
+
+def _is_box(parse: Parse, line: str) -> bool:
+    try:
+        parse(line, ())
     except ValueError:
         return False
     return True
 
 
-FORMAT = Format(
+UPRIGHT = Format(
     name='yolo',
     suffixes=('.txt',),
-    summary=f'Ultralytics YOLO, axis-aligned, one file an image: {FIELDS}, normalised to 0..1',
-    read=read,
-    write=None,
-    sniff=sniff,
-    write_boxes=write_boxes,
+    summary=(
+        f'Ultralytics YOLO, axis-aligned, one file per image: {UPRIGHT_FIELDS}, normalised to 0..1'
+    ),
+    sniff=partial(_fits, _parse_upright),
+    read=partial(_read, _parse_upright),
+    write_boxes=_write_boxes,
+)
+ORIENTED = Format(
+    name='yolo_obb',
+    suffixes=('.txt',),
+    summary=f'Ultralytics YOLO-OBB, one file per image: {CORNER_FIELDS}, normalised to 0..1',
+    sniff=partial(_fits, _parse_corners),
+    read=partial(_read, _parse_corners),
+    write=_write,
 )

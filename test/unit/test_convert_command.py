@@ -7,6 +7,8 @@ import csv
 import gc
 import subprocess
 import sys
+from collections.abc import Iterable
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +18,13 @@ from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
 from obbhbb_ros.cli import main
 from obbhbb_ros.converter import HullRule
+from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.labels.axis_aligned import convert_file
+from obbhbb_ros.labels.axis_aligned import convert_image
+from obbhbb_ros.labels.axis_aligned import convert_labels
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import assemble
-from obbhbb_ros.study.convert import convert_image
-from obbhbb_ros.study.convert import convert_labels
 
 TARGETS = [
     ('yolo', 'out'), ('coco', 'out.json'), ('voc', 'out'), ('geojson', 'out.geojson'),
@@ -181,7 +185,7 @@ def test_images_without_ships_are_no_error(source: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ('options', 'message'),
     [
-        (['--to', 'dota'], "'dota' is not for boxes"),
+        (['--to', 'dota'], "cannot write axis-aligned boxes as 'dota': use yolo"),
         (['--to', 'yolo', '--diagnostics'], 'no place for diagnostics'),
         (['--to', 'yolo'], "image 'P1': YOLO needs its size"),
         (['--from', 'labelme', '--to', 'csv'], "unknown label format 'labelme'"),
@@ -246,6 +250,24 @@ def test_defects_are_counted_by_reason() -> None:
     _, tally = convert_labels([labels], HullRule(), report=lines.append)
     assert tally.left_out == {'not finite': 1, 'empty': 2}
     assert len(lines) == 3
+
+
+@pytest.mark.parametrize(('part', 'total'), [('', 2), ('P1.txt', None)])
+def test_progress_gets_the_images_and_the_number_of_files_of_a_folder(
+    source: Path, tmp_path: Path, part: str, total: int | None
+) -> None:
+    seen: list[object] = []
+
+    def progress(images: Iterable[ImageLabels], count: int | None) -> Iterator[ImageLabels]:
+        seen.append(count)
+        for image in images:
+            seen.append(image.image)
+            yield image
+
+    convert_file(
+        source / part, tmp_path / 'out.csv', HullRule(), report=seen.append, progress=progress
+    )
+    assert seen == [total, 'P1', 'P2'][: 3 if total else 2]
 
 
 def test_a_conversion_that_fails_leaves_garbage_collection_on(tmp_path: Path) -> None:

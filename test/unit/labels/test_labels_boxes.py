@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from obbhbb_ros.converter import Conversion
 from obbhbb_ros.labels import FORMATS
-from obbhbb_ros.labels import ConvertedImage
+from obbhbb_ros.labels import ImageBoxes
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_boxes
 
@@ -33,14 +33,14 @@ DIAGNOSED = ('coco', 'geojson', 'csv', 'shapefile')
 BOX = (10.25, 20.5, 50.125, 30.0)
 
 
-def _converted(
+def _boxes(
     image: str = 'P1',
     *boxes: tuple[float, float, float, float],
     scores: object = None,
     ids: tuple[str, ...] | None = None,
     size: tuple[int, int] | None = (128, 64),
     diagnosed: bool = False,
-) -> ConvertedImage:
+) -> ImageBoxes:
     xyxy = np.array(boxes, dtype=np.float64).reshape(-1, 4)
     count = len(xyxy)
     ones = np.ones(count)
@@ -49,7 +49,7 @@ def _converted(
         diagnostics = Conversion(
             xyxy, ones > 0, 40 * ones, 10 * ones, 0.5 * ones, 0.25 * ones, np.nan * ones, ones > 0
         )
-    return ConvertedImage(
+    return ImageBoxes(
         image,
         xyxy,
         class_ids=('ship', 'tug')[:count],
@@ -75,17 +75,17 @@ def test_six_formats_hold_axis_aligned_boxes() -> None:
 @pytest.mark.parametrize('format_name', list(TARGETS))
 def test_boxes_read_back_as_reference_boxes(tmp_path: Path, format_name: str) -> None:
     path = _target(tmp_path, format_name)
-    images = [_converted('P1', BOX, (0, 0, 8, 4), scores=[0.5, 1.0]), _converted('P2', BOX)]
+    images = [_boxes('P1', BOX, (0, 0, 8, 4), scores=[0.5, 1.0]), _boxes('P2', BOX)]
     write_boxes(path, images, format_name)
     read = list(read_labels(path, format_name, image_size=(128, 64)))
     assert [each.image for each in read] == ['P1', 'P2']
-    for labels, converted in zip(read, images, strict=True):
-        np.testing.assert_allclose(labels.reference, converted.xyxy, rtol=0, atol=1e-9)
+    for labels, image in zip(read, images, strict=True):
+        np.testing.assert_allclose(labels.reference, image.xyxy, rtol=0, atol=1e-9)
         low, high = labels.corners.min(axis=1), labels.corners.max(axis=1)
-        np.testing.assert_allclose(np.hstack((low, high)), converted.xyxy, rtol=0, atol=1e-9)
-        assert labels.class_ids == converted.class_ids
+        np.testing.assert_allclose(np.hstack((low, high)), image.xyxy, rtol=0, atol=1e-9)
+        assert labels.class_ids == image.class_ids
         if format_name != 'voc':
-            assert labels.scores.tolist() == converted.scores.tolist()
+            assert labels.scores.tolist() == image.scores.tolist()
 
 
 @given(
@@ -98,17 +98,17 @@ def test_boxes_read_back_as_reference_boxes(tmp_path: Path, format_name: str) ->
 )
 @pytest.mark.parametrize('format_name', ['csv', 'geojson', 'voc'])
 def test_no_digit_is_lost(tmp_path: Path, format_name: str, boxes: list) -> None:
-    converted = _converted('P1', *[(x, y, x + w, y + h) for x, y, w, h in boxes])
+    image = _boxes('P1', *[(x, y, x + w, y + h) for x, y, w, h in boxes])
     path = _target(tmp_path, format_name)
-    write_boxes(path, [converted], format_name)
+    write_boxes(path, [image], format_name)
     (labels,) = read_labels(path, format_name)
-    np.testing.assert_array_equal(labels.reference, converted.xyxy)
+    np.testing.assert_array_equal(labels.reference, image.xyxy)
 
 
 @pytest.mark.parametrize('format_name', ['yolo', 'voc', 'csv', 'coco'])
 def test_an_image_without_boxes_stays(tmp_path: Path, format_name: str) -> None:
     path = _target(tmp_path, format_name)
-    write_boxes(path, [_converted('P1', size=None), _converted('P2', BOX)], format_name)
+    write_boxes(path, [_boxes('P1', size=None), _boxes('P2', BOX)], format_name)
     read = list(read_labels(path, format_name, image_size=(128, 64)))
     assert [(each.image, len(each.class_ids)) for each in read] == [('P1', 0), ('P2', 1)]
 
@@ -151,7 +151,7 @@ def test_diagnostics_are_columns_and_what_is_unknown_is_empty(
     tmp_path: Path, format_name: str, row: object, unknown: object
 ) -> None:
     path = _target(tmp_path, format_name)
-    write_boxes(path, [_converted('P1', BOX, diagnosed=True)], format_name)
+    write_boxes(path, [_boxes('P1', BOX, diagnosed=True)], format_name)
     got = row(path)
     numbers = [float(got[name]) for name in ('length', 'width', 'theta', 't_x', 'capped')]
     assert numbers == [40.0, 10.0, 0.5, 0.25, 1.0]
@@ -163,12 +163,12 @@ def test_formats_without_a_place_for_diagnostics_refuse_them(
     tmp_path: Path, format_name: str
 ) -> None:
     with pytest.raises(ValueError, match='no place for diagnostics: use csv'):
-        write_boxes(tmp_path / 'out', [_converted('P1', BOX, diagnosed=True)], format_name)
+        write_boxes(tmp_path / 'out', [_boxes('P1', BOX, diagnosed=True)], format_name)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_table_has_the_columns_that_are_promised(tmp_path: Path) -> None:
-    write_boxes(tmp_path / 'a.csv', [_converted('P1', BOX, diagnosed=True, ids=('7',))])
+    write_boxes(tmp_path / 'a.csv', [_boxes('P1', BOX, diagnosed=True, ids=('7',))])
     header, row = (tmp_path / 'a.csv').read_text().splitlines()
     assert header == (
         'image,instance,class,score,x_min,y_min,x_max,y_max,length,width,theta,t_x,t_y,capped'
@@ -177,7 +177,7 @@ def test_the_table_has_the_columns_that_are_promised(tmp_path: Path) -> None:
 
 
 def test_a_coco_file_is_complete(tmp_path: Path) -> None:
-    write_boxes(tmp_path / 'a.json', [_converted('P1.png', (1, 2, 5, 10), ids=('42',))])
+    write_boxes(tmp_path / 'a.json', [_boxes('P1.png', (1, 2, 5, 10), ids=('42',))])
     assert json.loads((tmp_path / 'a.json').read_text()) == {
         'images': [{'id': 1, 'file_name': 'P1.png', 'width': 128, 'height': 64}],
         'categories': [{'id': 1, 'name': 'ship'}],
@@ -191,14 +191,14 @@ def test_a_coco_file_is_complete(tmp_path: Path) -> None:
 
 
 def test_coco_ids_that_are_not_unique_are_numbered_anew(tmp_path: Path) -> None:
-    images = [_converted(name, BOX, ids=('0',)) for name in ('a', 'b')]
+    images = [_boxes(name, BOX, ids=('0',)) for name in ('a', 'b')]
     write_boxes(tmp_path / 'a.json', images)
     annotations = json.loads((tmp_path / 'a.json').read_text())['annotations']
     assert [(each['id'], each['instance']) for each in annotations] == [(1, '0'), (2, '0')]
 
 
 def test_a_voc_file_has_what_its_readers_ask_for(tmp_path: Path) -> None:
-    write_boxes(tmp_path / 'P1.xml', [_converted('P1', BOX)])
+    write_boxes(tmp_path / 'P1.xml', [_boxes('P1', BOX)])
     root = ElementTree.parse(tmp_path / 'P1.xml').getroot()
     assert root.findtext('filename') == 'P1'
     assert [root.findtext(f'size/{tag}') for tag in ('width', 'height', 'depth')] == [
@@ -210,7 +210,7 @@ def test_a_voc_file_has_what_its_readers_ask_for(tmp_path: Path) -> None:
 
 def test_yolo_classes_are_numbered_beside_the_files(put: Put, tmp_path: Path) -> None:
     put('out/classes.txt', 'tug\n')
-    write_boxes(tmp_path / 'out', [_converted('P1', (32, 16, 96, 48))], 'yolo')
+    write_boxes(tmp_path / 'out', [_boxes('P1', (32, 16, 96, 48))], 'yolo')
     assert (tmp_path / 'out' / 'classes.txt').read_text() == 'tug\nship\n'
     assert (tmp_path / 'out' / 'P1.txt').read_text() == '1 0.5 0.5 0.5 0.5\n'
 
@@ -234,7 +234,7 @@ def test_what_a_format_cannot_hold_is_refused_and_nothing_written(
     changes = dict(bad)
     image = changes.pop('image', 'P2')
     with pytest.raises(ValueError, match=message):
-        write_boxes(path, [_converted('P1', BOX), _converted(image, BOX, **changes)], format_name)
+        write_boxes(path, [_boxes('P1', BOX), _boxes(image, BOX, **changes)], format_name)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -243,7 +243,7 @@ def test_what_a_format_cannot_hold_is_refused_and_nothing_written(
     [
         ('out', None, 'name the label format'),
         ('out.pdf', None, 'name the label format'),
-        ('out', 'dota', "'dota' is not for boxes"),
+        ('out', 'dota', "cannot write axis-aligned boxes as 'dota': use yolo"),
         ('out', 'labelme', "unknown label format 'labelme'"),
         ('out.json', 'shapefile', r'ends in \.shp'),
     ],
@@ -254,7 +254,7 @@ def test_a_target_of_no_format_is_refused(
     if format_name == 'shapefile':
         pytest.importorskip('geopandas')
     with pytest.raises(ValueError, match=message):
-        write_boxes(tmp_path / name, [_converted('P1', BOX)], format_name)
+        write_boxes(tmp_path / name, [_boxes('P1', BOX)], format_name)
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_a_target_of_no_format_is_refused(
         ('ids', ()),
     ],
 )
-def test_converted_boxes_are_boxes(field: str, value: object) -> None:
-    values = vars(_converted('P1', BOX)) | {field: value}
+def test_boxes_to_write_are_boxes(field: str, value: object) -> None:
+    values = vars(_boxes('P1', BOX)) | {field: value}
     with pytest.raises(ValueError, match="image 'P1'"):
-        ConvertedImage(**values)
+        ImageBoxes(**values)

@@ -119,7 +119,7 @@ RLE = {'size': [768, 1024], 'counts': 'X`2'}
         (_annotation(bbox=None, segmentation=None), "neither 'segmentation' nor 'bbox'"),
         (_annotation(image_id=99), "'image_id' is 99, which is not in the file"),
         (_annotation(category_id=99), "'category_id' is 99"),
-        (_annotation(image_id=[3]), 'no id'),
+        (_annotation(image_id=[3]), 'not an id'),
         (_annotation(score='high'), "score has 'high'"),
         (_without(_annotation(), 'image_id'), "no 'image_id'"),
         (17, 'not a JSON object'),
@@ -142,7 +142,7 @@ def test_a_malformed_annotation_is_reported_with_its_place(
     [
         ('images', {'id': 5}, "images[1]: no 'file_name'"),
         ('images', {'file_name': 'a.png'}, "images[1]: no 'id'"),
-        ('images', {'id': 3, 'file_name': 'a.png'}, 'images[1]: id 3 is there already'),
+        ('images', {'id': 3, 'file_name': 'a.png'}, 'images[1]: id 3 is already used'),
         ('images', 5, 'images[1]: not a JSON object'),
         ('categories', {'id': 5}, "categories[1]: no 'name'"),
         ('categories', {'id': None, 'name': 'x'}, "categories[1]: 'id' is None"),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from obbhbb_ros.labels import LabelError
-from obbhbb_ros.labels import image_size
+from obbhbb_ros.labels import images
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.labels.records import Box
@@ -175,7 +175,7 @@ def test_an_image_that_is_too_large_takes_an_image_size(
     put: Put, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _put_image(tmp_path / 'a.png', SIZE)
-    monkeypatch.setattr(image_size, 'MOST_PIXELS', SIZE[0] * SIZE[1] - 1)
+    monkeypatch.setattr(images, 'MOST_PIXELS', SIZE[0] * SIZE[1] - 1)
     path = put('a.txt', BOX)
     with pytest.raises(LabelError, match='image_size'):
         list(read_labels(path))
@@ -276,9 +276,9 @@ def test_names_that_classes_txt_has_keep_their_number(
         (IN_BOX, None, 'size is not known'),
         (IN_BOX, (32, 24), 'far outside its size'),
         (IN_BOX._replace(score=1.5), SIZE, 'scores are not within'),
-        (IN_BOX._replace(class_id=''), SIZE, 'cannot stand as a line'),
-        (IN_BOX._replace(class_id=' ship'), SIZE, 'cannot stand as a line'),
-        (IN_BOX._replace(class_id='a\nb'), SIZE, 'cannot stand as a line'),
+        (IN_BOX._replace(class_id=''), SIZE, 'cannot be a line'),
+        (IN_BOX._replace(class_id=' ship'), SIZE, 'cannot be a line'),
+        (IN_BOX._replace(class_id='a\nb'), SIZE, 'cannot be a line'),
     ],
 )
 def test_what_would_not_be_read_back_is_refused(

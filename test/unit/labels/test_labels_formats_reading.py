@@ -225,3 +225,28 @@ def test_what_on_error_raises_ends_the_reading(put: Put) -> None:
 
     with pytest.raises(RuntimeError, match=r'P1\.txt:1: '):
         list(read_labels(put('P1.txt', 'oops\n'), 'dota', on_error=give_up))
+
+
+@pytest.mark.parametrize(
+    ('name', 'text', 'format_name'),
+    [
+        ('P1.txt', 'oops\n', 'dota'),
+        ('all.csv', 'image,x1\n', 'csv'),
+        ('P1.xml', '<html/>', 'voc'),
+        ('all.json', '{}', 'coco'),
+        ('P1.txt', YOLO, 'yolo_obb'),
+    ],
+    ids=['record', 'header', 'root', 'members', 'size'],
+)
+def test_an_error_that_on_error_raises_again_is_reported_once(
+    put: Put, name: str, text: str, format_name: str
+) -> None:
+    errors: list[LabelError] = []
+
+    def keep_and_raise(error: LabelError) -> None:
+        errors.append(error)
+        raise error
+
+    with pytest.raises(LabelError) as caught:
+        list(read_labels(put(name, text), format_name, on_error=keep_and_raise))
+    assert errors == [caught.value]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import shapely
 
+from obbhbb_ros.boxes import BLOCK
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
@@ -77,6 +78,43 @@ def test_an_upright_rectangle_is_its_own_reference(put: Put) -> None:
     assert labels.reference.tolist() == [[0, 0, 4, 2]]
 
 
+@pytest.mark.parametrize('start', range(4))
+@pytest.mark.parametrize('closed', [True, False])
+@pytest.mark.parametrize('step', [1, -1])
+def test_an_upright_rectangle_is_one_from_any_corner_and_in_either_sense(
+    put: Put, start: int, closed: bool, step: int
+) -> None:
+    corners = PARTS[0][0][:-1][::step]
+    ring = corners[start:] + corners[:start]
+    ring = [*ring, ring[0]] if closed else ring
+    (labels,) = read_labels(put('a.geojson', _collection(_feature([ring]))))
+    assert labels.reference.tolist() == [[0, 0, 4, 2]]
+    assert labels.hulls == (None,)
+
+
+@pytest.mark.parametrize(
+    'ring', [[[0, 0], [4, 0], [4, 2], [0, 2.001]], [[0, 0], [4, 0], [0, 2], [4, 2.5]]]
+)
+def test_four_corners_that_are_not_upright_have_no_reference(put: Put, ring: list) -> None:
+    (labels,) = read_labels(put('a.geojson', _collection(_feature([ring]))))
+    assert np.isnan(labels.reference).all()
+    assert labels.hulls == (None,)
+
+
+def test_more_features_than_a_block_keep_their_order_and_their_errors(put: Put) -> None:
+    flat = [[0, 0], [1, 1], [2, 2], [0, 0]]
+    count = BLOCK + 3
+    features = [_feature([flat if i % 4000 == 7 else HULL], id=i) for i in range(count)]
+    errors: list[LabelError] = []
+    (labels,) = read_labels(put('a.geojson', _collection(*features)), on_error=errors.append)
+    bad = [i for i in range(count) if i % 4000 == 7]
+    assert [error.message for error in errors] == [
+        f'features[{i}]: the polygon has no area' for i in bad
+    ]
+    assert labels.ids == tuple(str(i) for i in range(count) if i not in bad)
+    assert all(len(hull) == len(HULL) - 1 for hull in labels.hulls)
+
+
 def test_a_collection_without_features_is_an_image_without_boxes(put: Put) -> None:
     (labels,) = read_labels(put('scene.geojson', _collection()))
     assert (labels.image, len(labels.class_ids)) == ('scene', 0)
@@ -85,8 +123,8 @@ def test_a_collection_without_features_is_an_image_without_boxes(put: Put) -> No
 @pytest.mark.parametrize(
     ('bad', 'message'),
     [
-        (_feature([1, 2], 'Point'), 'a Point is no polygon'),
-        (_feature([TILTED], ['Polygon']), 'is no polygon'),
+        (_feature([1, 2], 'Point'), 'a Point is not a polygon'),
+        (_feature([TILTED], ['Polygon']), 'is not a polygon'),
         (_feature([]), 'empty'),
         (_feature('x'), 'not an array of rings'),
         (_feature(['x']), 'not a list of positions'),
@@ -144,7 +182,7 @@ def test_a_table_of_wkt_may_name_images_and_scores(put: Put) -> None:
         ('"POLYGON ((0 0, 1"', 'not WKT'),
         ('hello', 'not WKT'),
         ('', ''),
-        ('POINT (1 2)', 'a Point is no polygon'),
+        ('POINT (1 2)', 'a Point is not a polygon'),
         ('POLYGON EMPTY', 'no geometry'),
         ('"POLYGON ((0 0, 1 1, 2 2, 0 0))"', 'no area'),
         ('"POLYGON ((0 0, 1 1))"', 'not WKT'),
@@ -205,7 +243,7 @@ def test_a_shapefile_of_points_has_no_polygons(tmp_path: Path) -> None:
     path = _shapefile(tmp_path / 'a.shp', [shapely.Point(1, 2)], n=[1])
     (labels,) = read_labels(path, on_error=errors.append)
     assert len(labels.class_ids) == 0
-    assert [error.message for error in errors] == ['feature 0: a Point is no polygon']
+    assert [error.message for error in errors] == ['feature 0: a Point is not a polygon']
 
 
 @pytest.mark.parametrize('content', [b'', b'hello', b'\x00\x00\x27\x0a' + b'\x00' * 40])

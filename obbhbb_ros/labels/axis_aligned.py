@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Label files of oriented boxes to label files of axis-aligned ones."""
+"""Conversion of label files of oriented boxes to label files of axis-aligned boxes."""
 
 from __future__ import annotations
 
@@ -23,35 +23,26 @@ from obbhbb_ros.converter import Conversion
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_by_rule
 from obbhbb_ros.converter import convert_with_diagnostics
-from obbhbb_ros.labels import ConvertedImage
-from obbhbb_ros.labels import ImageLabels
-from obbhbb_ros.labels import LabelError
-from obbhbb_ros.labels import read_labels
-from obbhbb_ros.labels import write_boxes
 from obbhbb_ros.labels.files import bare_name
 from obbhbb_ros.labels.files import label_files
-from obbhbb_ros.labels.image_size import stored_size
-from obbhbb_ros.labels.registry import FORMATS
-from obbhbb_ros.labels.registry import detect_format
-from obbhbb_ros.labels.registry import format_named
-from obbhbb_ros.labels.writer import box_format
-from obbhbb_ros.labels.writer import no_diagnostics
-from obbhbb_ros.study.progress import track
+from obbhbb_ros.labels.formats import FORMATS
+from obbhbb_ros.labels.formats import box_format
+from obbhbb_ros.labels.formats import detect_format
+from obbhbb_ros.labels.formats import format_named
+from obbhbb_ros.labels.formats import read_labels
+from obbhbb_ros.labels.formats import write_boxes
+from obbhbb_ros.labels.images import stored_size
+from obbhbb_ros.labels.records import ImageBoxes
+from obbhbb_ros.labels.records import ImageLabels
+from obbhbb_ros.labels.records import LabelError
 
-REASONS = {
-    Defect.NOT_FINITE: 'not finite',
-    Defect.NEGATIVE_SIZE: 'negative size',
-    Defect.EMPTY: 'empty',
-    Defect.TOO_FEW_POINTS: 'too few points',
-    Defect.NO_RECTANGLE: 'no rectangle',
-}
-OVERFLOW = 'overflow'
+Progress = Callable[[Iterable[ImageLabels], 'int | None'], Iterable[ImageLabels]]
 
 
 @dataclass(frozen=True)
 class Tally:
     """
-    What became of the records of a conversion.
+    Counts of a conversion.
 
     Attributes
     ----------
@@ -77,7 +68,7 @@ class Tally:
 
     @property
     def readable(self) -> bool:
-        """Whether there was anything to read; no box and no error is an empty data set."""
+        """Whether anything was read; a data set with no boxes and no errors is only empty."""
         return self.boxes > 0 or (self.images > 0 and self.complete)
 
     def __str__(self) -> str:
@@ -92,7 +83,7 @@ class Tally:
 
 def convert_image(
     labels: ImageLabels, rule: HullRule, caps: Caps = NO_CAPS, diagnostics: bool = False
-) -> tuple[ConvertedImage, dict[int, str]]:
+) -> tuple[ImageBoxes, dict[int, str]]:
     """
     Convert the boxes of an image.
 
@@ -103,24 +94,23 @@ def convert_image(
     rule : HullRule
         The rule.
     caps : Caps
-        Bounds of the result.
+        Limits of the result.
     diagnostics : bool
-        Whether to tell how each box came about.
+        Whether to keep how each box was computed.
 
     Returns
     -------
-    ConvertedImage, dict of int to str
+    ImageBoxes, dict of int to str
         The boxes that could be converted, and the reason for each row that could not.
     """
     boxes = OrientedBoxes.from_corners(labels.corners)
     conversion = convert_with_diagnostics(boxes, rule, caps) if diagnostics else None
     xyxy = convert_by_rule(boxes, rule, caps) if conversion is None else conversion.xyxy
-    # Formats that give an area have to be able to.
+    # The area has to be finite as well: some formats hold it.
     with np.errstate(over='ignore', invalid='ignore'):
         finite = np.isfinite((xyxy[:, 2:] - xyxy[:, :2]).prod(axis=1))
     rows = np.flatnonzero(finite)
-    bad = np.flatnonzero(~finite).tolist()
-    converted = ConvertedImage(
+    image = ImageBoxes(
         image=labels.image,
         xyxy=xyxy[rows],
         class_ids=tuple(labels.class_ids[row] for row in rows),
@@ -130,7 +120,13 @@ def convert_image(
         source=labels.source,
         diagnostics=None if conversion is None else _select(conversion, rows),
     )
-    return converted, {row: REASONS.get(Defect(boxes.defects[row]), OVERFLOW) for row in bad}
+    bad = np.flatnonzero(~finite).tolist()
+    return image, {row: _reason(Defect(boxes.defects[row])) for row in bad}
+
+
+def _reason(defect: Defect) -> str:
+    # A box without a defect is left out because its result is too large.
+    return 'overflow' if defect == Defect.NONE else defect.name.lower().replace('_', ' ')
 
 
 def _select(conversion: Conversion, rows: NDArray[np.intp]) -> Conversion:
@@ -145,34 +141,22 @@ def convert_labels(
     *,
     diagnostics: bool = False,
     report: Callable[[str], None],
-) -> tuple[list[ConvertedImage], Tally]:
+) -> tuple[list[ImageBoxes], Tally]:
     """
-    Convert images, and count what could not be.
+    Convert images as `convert_image` does, and count the boxes that cannot be converted.
 
-    Parameters
-    ----------
-    images : iterable of ImageLabels
-        The images.
-    rule, caps, diagnostics
-        As for `convert_image`.
-    report : callable
-        Gets a line for each box that is left out.
-
-    Returns
-    -------
-    list of ConvertedImage, Tally
-        Every image, and the counts; of malformed records it knows none.
+    `report` gets a line for each of these. The counts do not include malformed records.
     """
-    converted = []
+    done = []
     reasons: Counter[str] = Counter()
     for labels in images:
         image, bad = convert_image(labels, rule, caps, diagnostics)
-        converted.append(image)
+        done.append(image)
         reasons.update(bad.values())
         for row, reason in bad.items():
             report(f'{labels.source}: image {labels.image!r}: box {row + 1} left out: {reason}')
-    boxes = sum(len(image.class_ids) for image in converted)
-    return converted, Tally(len(converted), boxes, dict(reasons), 0)
+    boxes = sum(len(image.class_ids) for image in done)
+    return done, Tally(len(done), boxes, dict(reasons), 0)
 
 
 def convert_file(
@@ -186,11 +170,12 @@ def convert_file(
     image_size: tuple[int, int] | None = None,
     diagnostics: bool = False,
     report: Callable[[str], None],
+    progress: Progress = lambda images, _: images,
 ) -> Tally:
     """
     Read a file or folder of oriented boxes and write one of axis-aligned boxes.
 
-    Nothing is written where nothing could be read.
+    If nothing can be read, nothing is written.
 
     Parameters
     ----------
@@ -199,12 +184,15 @@ def convert_file(
     rule, caps, diagnostics
         As for `convert_image`.
     source_format, target_format : str, optional
-        Names of `obbhbb_ros.labels.FORMATS`; by default the first is detected and the second told
-        from the suffix of `target`.
+        Names of `obbhbb_ros.labels.FORMATS`; by default the first is detected and the second
+        follows from the suffix of `target`.
     image_size : tuple of int, optional
         Width and height of every image, pixels; by default from labels or images.
     report : callable
-        Gets a line for each record that is malformed and each box that is left out.
+        Gets a line for each malformed record and for each box that is left out.
+    progress : callable, optional
+        Gets the images as they are read and the number of files if `source` is a folder; passes
+        the images on and shows the progress.
 
     Returns
     -------
@@ -214,14 +202,12 @@ def convert_file(
     Raises
     ------
     ValueError
-        If a format is unknown or not to be told, the target format cannot hold what there is, or
-        a size that it needs is not known.
+        If a format is unknown or cannot be detected, the target format cannot hold the boxes, or
+        an image size that it needs is not known.
     OSError
         If a file cannot be read or written.
     """
-    writes = box_format(target, target_format)
-    if diagnostics and not writes.holds_diagnostics:
-        raise ValueError(no_diagnostics(writes))
+    writes = box_format(target, target_format, diagnostics)
     reads = format_named(source_format or detect_format(source))
     malformed: list[LabelError] = []
 
@@ -229,27 +215,27 @@ def convert_file(
         malformed.append(error)
         report(str(error))
 
-    images = read_labels(source, reads.name, image_size=image_size, on_error=skip)
+    labels = read_labels(source, reads.name, image_size=image_size, on_error=skip)
     total = len(label_files(source, reads.suffixes)) if source.is_dir() else None
-    converted, tally = convert_labels(
-        track(images, 'converting', total), rule, caps, diagnostics=diagnostics, report=report
+    images, tally = convert_labels(
+        progress(labels, total), rule, caps, diagnostics=diagnostics, report=report
     )
     tally = replace(tally, malformed=len(malformed))
     if tally.readable:
         if writes is FORMATS['yolo']:
-            converted = [_sized(image) for image in converted]
-        write_boxes(target, converted, writes.name)
+            images = [_sized(image) for image in images]
+        write_boxes(target, images, writes.name)
     return tally
 
 
-def _sized(converted: ConvertedImage) -> ConvertedImage:
-    """Look for the image file where the labels do not tell the size."""
-    if converted.size is not None or not converted.class_ids:
-        return converted
+def _sized(image: ImageBoxes) -> ImageBoxes:
+    """Take the size from the image file if the labels do not have it."""
+    if image.size is not None or not image.class_ids:
+        return image
     # Where the label file of that image would be.
-    place = converted.source.parent / f'{bare_name(converted.image)}.txt'
+    place = image.source.parent / f'{bare_name(image.image)}.txt'
     try:
-        return replace(converted, size=stored_size(place))
+        return replace(image, size=stored_size(place))
     except LabelError as error:
-        advice = error.message.replace('pass image_size=(width, height)', 'give the image size')
-        raise ValueError(f'image {converted.image!r}: YOLO needs its size: {advice}') from None
+        advice = f'{error.message}: give the image size'
+        raise ValueError(f'image {image.image!r}: YOLO needs its size: {advice}') from None

@@ -75,7 +75,7 @@ def test_a_label_file_has_the_bare_name_of_its_image(
 def test_a_name_that_would_not_be_read_back_is_refused(
     make: Make, tmp_path: Path, image: str
 ) -> None:
-    with pytest.raises(ValueError, match='no name for a label file'):
+    with pytest.raises(ValueError, match='no label file can have this name'):
         write_labels(tmp_path, [make('good'), make(image)], 'dota')
     assert _names(tmp_path) == []
 
@@ -108,7 +108,7 @@ def test_a_format_that_is_only_read_is_refused(
 ) -> None:
     read_only = replace(FORMATS['dota'], name='read_only', write=None)
     monkeypatch.setitem(FORMATS, 'read_only', read_only)
-    with pytest.raises(ValueError, match=r"'read_only' is read-only: writable are dota"):
+    with pytest.raises(ValueError, match=r"cannot write oriented boxes as 'read_only': use dota"):
         write_labels(tmp_path, [make()], 'read_only')
 
 

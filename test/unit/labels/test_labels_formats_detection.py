@@ -90,7 +90,7 @@ def test_what_cannot_be_told_is_refused_with_the_path_and_the_formats(
     put: Put, name: str, text: str
 ) -> None:
     path = put(name, text)
-    with pytest.raises(ValueError, match=r'cannot tell.*dota \(\.txt\).*yolo_obb.*csv') as caught:
+    with pytest.raises(ValueError, match=r'cannot detect.*dota \(\.txt\).*yolo_obb.*csv') as caught:
         detect_format(path)
     assert str(path) in str(caught.value)
 
@@ -121,7 +121,7 @@ def test_a_folder_of_several_formats_asks_for_a_name(put: Put, tmp_path: Path) -
 def test_a_folder_of_unknown_text_is_refused(put: Put, tmp_path: Path) -> None:
     put('a.txt', 'hello\n')
     put('b.txt', '')
-    with pytest.raises(ValueError, match='cannot tell'):
+    with pytest.raises(ValueError, match='cannot detect'):
         detect_format(tmp_path)
 
 

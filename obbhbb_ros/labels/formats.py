@@ -1,0 +1,385 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All label formats by name; reading and writing of label files in any of them."""
+
+from __future__ import annotations
+
+import codecs
+import operator
+import os
+from collections.abc import Iterable
+from collections.abc import Iterator
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from obbhbb_ros.labels import coco
+from obbhbb_ros.labels import csv_tables
+from obbhbb_ros.labels import dota
+from obbhbb_ros.labels import geojson
+from obbhbb_ros.labels import hrsc
+from obbhbb_ros.labels import shapefile
+from obbhbb_ros.labels import voc
+from obbhbb_ros.labels import yolo
+from obbhbb_ros.labels.files import label_files
+from obbhbb_ros.labels.records import MIN_HULL_POINTS
+from obbhbb_ros.labels.records import FileError
+from obbhbb_ros.labels.records import FloatArray
+from obbhbb_ros.labels.records import Format
+from obbhbb_ros.labels.records import ImageBoxes
+from obbhbb_ros.labels.records import ImageLabels
+from obbhbb_ros.labels.records import ImageSize
+from obbhbb_ros.labels.records import LabelFile
+from obbhbb_ros.labels.records import OnError
+from obbhbb_ros.labels.records import names
+from obbhbb_ros.labels.records import raise_error
+from obbhbb_ros.labels.shapes import check_coordinates
+
+# Of a suffix with several formats, blank files belong to the first.
+_ALL = (
+    dota.FORMAT,
+    yolo.ORIENTED,
+    yolo.UPRIGHT,
+    csv_tables.CORNER_TABLE,
+    csv_tables.WKT_TABLE,
+    hrsc.FORMAT,
+    voc.FORMAT,
+    coco.FORMAT,
+    geojson.FORMAT,
+    shapefile.FORMAT,
+)
+FORMATS: dict[str, Format] = {each.name: each for each in _ALL}
+
+_HEAD_BYTES = 16384
+
+
+def format_named(name: str) -> Format:
+    """
+    Return the format of a name.
+
+    Raises
+    ------
+    ValueError
+        If there is no such format; the message lists the known ones.
+    """
+    if name not in FORMATS:
+        raise ValueError(f'unknown label format {name!r}: known are {names(FORMATS.values())}')
+    return FORMATS[name]
+
+
+def detect_format(path: str | os.PathLike[str]) -> str:
+    """
+    Detect the format of a label file, or of the label files in a folder.
+
+    The formats with the suffix of the file are compared with its beginning: one line that fits
+    exactly one format is enough. In a folder the first file of each suffix whose format can be
+    detected counts for all of this suffix. If the content does not help, the suffix decides if only
+    one format has it; blank files count as the first format of their suffix, since in all of these
+    they are an image without boxes.
+
+    Parameters
+    ----------
+    path : path-like
+        A file or a folder.
+
+    Returns
+    -------
+    str
+        Name of one of `FORMATS`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the path does not exist.
+    LabelError
+        If a folder holds no label file.
+    ValueError
+        If the format cannot be detected, or a folder holds files of more than one format.
+    """
+    path = Path(path)
+    suffixes = {suffix for each in FORMATS.values() for suffix in each.suffixes}
+    files = label_files(path, suffixes)
+    found = _detect_by_content(files)
+    if len(found) > 1:
+        raise ValueError(f'{path}: holds more than one label format: {names(found)}: name one')
+    return (found[0] if found else _detect_by_suffix(path, files)).name
+
+
+def _detect_by_content(files: Iterable[Path]) -> list[Format]:
+    found: dict[str, Format] = {}
+    for _, group in groupby(sorted(files, key=_suffix), key=_suffix):
+        first = next((each for each in map(_sniff, group) if each is not None), None)
+        if first is not None:
+            found[first.name] = first
+    return list(found.values())
+
+
+def _sniff(file: Path) -> Format | None:
+    head = _head(file)
+    fitting = [each for each in _formats_of(file) if each.sniff(head)]
+    return fitting[0] if len(fitting) == 1 else None
+
+
+def _detect_by_suffix(path: Path, files: Sequence[Path]) -> Format:
+    candidates = {each.name: each for file in files for each in _formats_of(file)}
+    blank = all(not _head(file).strip() for file in files)
+    if len(candidates) == 1 or (candidates and blank):
+        return next(iter(candidates.values()))
+    raise ValueError(f'{path}: cannot detect the label format: known are {names(FORMATS.values())}')
+
+
+def _formats_of(file: Path) -> list[Format]:
+    return [each for each in FORMATS.values() if _suffix(file) in each.suffixes]
+
+
+def _suffix(file: Path) -> str:
+    return file.suffix.lower()
+
+
+def _head(file: Path) -> str:
+    with file.open('rb') as stream:
+        data = stream.read(_HEAD_BYTES)
+    return data.removeprefix(codecs.BOM_UTF8).decode(errors='replace')
+
+
+def read_labels(
+    path: str | os.PathLike[str],
+    format: str | None = None,  # noqa: A002
+    *,
+    image_size: tuple[int, int] | None = None,
+    on_error: OnError | None = None,
+) -> Iterator[ImageLabels]:
+    """
+    Read the labels of a file, or of the label files directly in a folder.
+
+    Errors in the arguments are raised by the call; files are read one by one, as the iterator gets
+    to them.
+
+    Parameters
+    ----------
+    path : path-like
+        File or folder. The files of a folder are read in the order of their names.
+    format : str, optional
+        Name of one of `FORMATS`; detected by default.
+    image_size : tuple of int, optional
+        Width and height in pixels of every image. By default from the labels or, in formats with
+        normalised coordinates, from the image files.
+    on_error : callable, optional
+        Called with the LabelError of each malformed record, which is then skipped; a file that
+        cannot be used as a whole counts as one record. By default the first error is raised.
+
+    Returns
+    -------
+    iterator of ImageLabels
+        In the order of the files and, within a file, of the first appearance of the image.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the path does not exist.
+    LabelError
+        If a folder holds no label file, whatever `on_error` is; while iterating, at a malformed
+        record without `on_error`.
+    ValueError
+        If the format is unknown or cannot be detected, or `image_size` is not two positive
+        integers.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = Path(folder, 'P0706.txt').write_text('10 20 50 20 50 30 10 30 ship 0')
+    ...     (labels,) = read_labels(folder)
+    >>> labels.image, labels.class_ids
+    ('P0706', ('ship',))
+    >>> labels.corners.tolist()
+    [[[10.0, 20.0], [50.0, 20.0], [50.0, 30.0], [10.0, 30.0]]]
+    """
+    path = Path(path)
+    size = None if image_size is None else _checked_size(image_size)
+    chosen = format_named(format or detect_format(path))
+    files = label_files(path, chosen.suffixes)
+    return _read_files(files, chosen, size, on_error or raise_error)
+
+
+def _read_files(
+    files: Sequence[Path], chosen: Format, size: ImageSize | None, on_error: OnError
+) -> Iterator[ImageLabels]:
+    for file in files:
+        try:
+            yield from chosen.read(LabelFile(file, size, on_error))
+        except FileError as error:
+            on_error(error)
+
+
+def _checked_size(image_size: tuple[int, int]) -> ImageSize:
+    try:
+        width, height = map(operator.index, image_size)
+    except (TypeError, ValueError):
+        raise ValueError(f'image_size {image_size!r} is not (width, height)') from None
+    if width <= 0 or height <= 0:
+        raise ValueError(f'image_size {image_size!r} is not two positive numbers')
+    return width, height
+
+
+def write_labels(
+    path: str | os.PathLike[str],
+    images: Iterable[ImageLabels],
+    format: str | None = None,  # noqa: A002
+) -> None:
+    """
+    Write labels to a file or, in formats with one file per image, to a folder.
+
+    All labels are checked and turned into text before the first file is opened, so `images` may
+    come from `read_labels` of the same path. What a format has no place for is left out.
+
+    Parameters
+    ----------
+    path : path-like
+        File or folder; missing folders are made. In a folder each image gets a file, named after
+        it without folder and image suffix; files of other images stay. A single image may also be
+        written to a file.
+    images : iterable of ImageLabels
+        The images.
+    format : str, optional
+        Name of one of `FORMATS`; by default from the suffix of `path`.
+
+    Raises
+    ------
+    ValueError
+        If the format is unknown, cannot be written or cannot be told from the suffix; if a number
+        is not finite (a row of `reference` may be all NaN) or a hull has fewer than three points;
+        if the format cannot hold a name or value. Nothing is written then.
+    OSError
+        If a file cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     dota, table = Path(folder, 'P0706.txt'), Path(folder, 'ships.csv')
+    ...     _ = dota.write_text('10 20 50 20 50 30 10 30 ship 0')
+    ...     write_labels(table, read_labels(dota))
+    ...     print(table.read_text().splitlines()[1])
+    P0706,,ship,10.0,20.0,50.0,20.0,50.0,30.0,10.0,30.0,,,,,
+    """
+    path = Path(path)
+    able = [each for each in FORMATS.values() if each.write is not None]
+    write = _format_to_write(path, format, able, 'oriented boxes').write
+    assert write is not None
+    checked = list(images)
+    for labels in checked:
+        _check(labels)
+    write(path, checked)
+
+
+def write_boxes(
+    path: str | os.PathLike[str],
+    images: Iterable[ImageBoxes],
+    format: str | None = None,  # noqa: A002
+) -> None:
+    """
+    Write axis-aligned boxes to a file or, in formats with one file per image, to a folder.
+
+    All boxes are checked and turned into text before the first file is opened. Names, ids and
+    scores that a format has no place for are left out.
+
+    Parameters
+    ----------
+    path : path-like
+        File or folder, as for `write_labels`.
+    images : iterable of ImageBoxes
+        The images.
+    format : str, optional
+        Name of one of `FORMATS`; by default from the suffix of `path`.
+
+    Raises
+    ------
+    ValueError
+        If the format is unknown, cannot hold axis-aligned boxes or the diagnostics that are given,
+        or cannot be told from the suffix; if it cannot hold a name or value. Nothing is written
+        then.
+    OSError
+        If a file cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> import numpy as np
+    >>> boxes = ImageBoxes(
+    ...     'P0706', np.array([[10.0, 20.0, 50.0, 30.0]]), ('ship',), ('7',), np.ones(1),
+    ...     size=(1024, 768), source=Path('P0706.txt'),
+    ... )
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder, 'ships.csv')
+    ...     write_boxes(path, [boxes])
+    ...     print(path.read_text(), end='')
+    image,instance,class,score,x_min,y_min,x_max,y_max
+    P0706,7,ship,1.0,10.0,20.0,50.0,30.0
+    """
+    path = Path(path)
+    images = list(images)
+    diagnosed = any(image.diagnostics is not None for image in images)
+    write = box_format(path, format, diagnosed).write_boxes
+    assert write is not None
+    write(path, images)
+
+
+def box_format(path: Path, name: str | None, diagnosed: bool = False) -> Format:
+    """
+    Choose the format that `write_boxes` writes, with diagnostics if `diagnosed`.
+
+    Raises
+    ------
+    ValueError
+        As `write_boxes`.
+    """
+    able = [each for each in FORMATS.values() if each.write_boxes is not None]
+    chosen = _format_to_write(path, name, able, 'axis-aligned boxes')
+    if diagnosed and not chosen.holds_diagnostics:
+        able = [each for each in able if each.holds_diagnostics]
+        raise ValueError(
+            f'label format {chosen.name!r} has no place for diagnostics: use {names(able)}'
+        )
+    return chosen
+
+
+def _format_to_write(path: Path, name: str | None, able: list[Format], what: str) -> Format:
+    if name is None:
+        # A suffix that two formats share belongs to the one that has it first.
+        fitting = [each for each in able if _suffix(path) == each.suffixes[0]]
+        if len(fitting) != 1:
+            raise ValueError(f'{path}: name the label format to write: {names(able)}')
+        return fitting[0]
+    chosen = format_named(name)
+    if chosen not in able:
+        raise ValueError(f'cannot write {what} as {name!r}: use {names(able)}')
+    return chosen
+
+
+def _check(labels: ImageLabels) -> None:
+    referenced = ~np.isnan(labels.reference).all(axis=1)
+    _check_finite(labels, 'corners', labels.corners)
+    _check_finite(labels, 'scores', labels.scores)
+    _check_finite(labels, 'reference', labels.reference[referenced])
+    for hull in labels.hulls:
+        if hull is not None:
+            _check_hull(labels, hull)
+
+
+def _check_finite(labels: ImageLabels, name: str, values: FloatArray) -> None:
+    if not np.isfinite(values).all():
+        raise ValueError(f'image {labels.image!r}: {name} has a value that is not finite')
+
+
+def _check_hull(labels: ImageLabels, hull: FloatArray) -> None:
+    try:
+        check_coordinates(hull)
+    except ValueError as error:
+        raise ValueError(f'image {labels.image!r}: hulls: {error}') from None
+    if hull.ndim != 2 or hull.shape[1] != 2 or len(hull) < MIN_HULL_POINTS:
+        raise ValueError(f'image {labels.image!r}: a hull has shape {hull.shape}')
