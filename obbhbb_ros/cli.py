@@ -119,10 +119,10 @@ def _chips(options: argparse.Namespace) -> int:
     from obbhbb_ros.labels import read_labels
     from obbhbb_ros.labels.images import find_images
     from obbhbb_ros.labels.images import load_image
-    from obbhbb_ros.study.chips import chip_costs
-    from obbhbb_ros.study.chips import cost_table
-    from obbhbb_ros.study.chips import draw_costs
-    from obbhbb_ros.study.chips import render
+    from obbhbb_ros.study.chip_costs import chip_costs
+    from obbhbb_ros.study.chip_costs import cost_table
+    from obbhbb_ros.study.chip_costs import draw_costs
+    from obbhbb_ros.study.chip_costs import render
     from obbhbb_ros.study.harbour import harbour
 
     if options.labels is None:

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from obbhbb_ros.labels.converted import ConvertedImage
 from obbhbb_ros.labels.format import Format
-from obbhbb_ros.labels.matching import Matching
-from obbhbb_ros.labels.matching import match_references
 from obbhbb_ros.labels.reader import read_labels
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import LabelError
@@ -27,10 +25,8 @@ __all__ = [
     'Format',
     'ImageLabels',
     'LabelError',
-    'Matching',
     'OnError',
     'detect_format',
-    'match_references',
     'read_labels',
     'write_boxes',
     'write_labels',

@@ -31,6 +31,8 @@ from vision_msgs.msg import Detection2DArray
 from vision_msgs.msg import ObjectHypothesisWithPose
 
 from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.data import HARBOUR
+from obbhbb_ros.data import HARBOUR_SIZE
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
@@ -46,8 +48,6 @@ from obbhbb_ros.nodes.settings import IMAGE_SIZE_LIMIT
 from obbhbb_ros.nodes.settings import POLYGON
 from obbhbb_ros.nodes.settings import POLYGONS
 
-HARBOUR = 'harbour.csv'
-HARBOUR_SIZE = (1024, 768)
 _POLL_PERIOD = 0.1
 _QUIET_POLLS = 3
 

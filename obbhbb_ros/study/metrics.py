@@ -117,12 +117,7 @@ def overlap_with_obb(xyxy: FloatArray, boxes: OrientedBoxes) -> Overlap:
 
 def shared_with_obb(xyxy: FloatArray, boxes: OrientedBoxes) -> FloatArray:
     """
-    Compute the area that axis-aligned and oriented boxes share.
-
-    The height of the intersection over x is linear between the corners of either box and the
-    points where their edges cross, so its value in the middle of each piece times the width of
-    the piece is exact. Unlike clipping edge by edge, no edge has to be told inside from outside,
-    which rounding makes a gamble where edges coincide.
+    Compute the area that each axis-aligned box shares with its oriented box.
 
     Parameters
     ----------
@@ -136,28 +131,19 @@ def shared_with_obb(xyxy: FloatArray, boxes: OrientedBoxes) -> FloatArray:
     ndarray, shape (N,)
         Square pixels; NaN where either row is.
     """
-    # Coordinates relative to the oriented box's centre keep the digits.
-    left, top, right, bottom = (xyxy - np.tile(boxes.center, (2, 1)).T).T
-    u, v = boxes.long_axis, boxes.short_axis
-    # The oriented box is where |n . p| <= h, for n across the long and across the short edge.
-    normals = np.stack(((-u[1], u[0]), (-v[1], v[0])))
-    reach = np.abs(u[0] * v[1] - u[1] * v[0])
-    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        cuts = [u[0] + v[0], u[0] - v[0], v[0] - u[0], -u[0] - v[0]]
-        for y in (top, bottom):
-            for n_x, n_y in normals:
-                cuts += [(reach - n_y * y) / n_x, (-reach - n_y * y) / n_x]
-        # An edge that runs level with the box's crosses it nowhere: NaN, or beyond its sides.
-        inner = np.nan_to_num(np.stack(cuts), nan=0.0, posinf=np.inf, neginf=-np.inf)
-        edges = np.sort(np.clip(np.stack((left, *inner, right)), left, right), axis=0)
-        middle = (edges[1:] + edges[:-1]) / 2.0
-        high, low = np.broadcast_to(bottom, middle.shape), np.broadcast_to(top, middle.shape)
-        for n_x, n_y in normals:
-            a, b = (-reach - n_x * middle) / n_y, (reach - n_x * middle) / n_y
-            high = np.fmin(high, np.maximum(a, b))
-            low = np.fmax(low, np.minimum(a, b))
-    height = np.maximum(high - low, 0.0)
-    return np.sum(height * np.diff(edges, axis=0), axis=0)
+    center = boxes.center.T
+    # Coordinates relative to the centre keep their digits.
+    corners, local = boxes.corners - center[:, None], xyxy - np.tile(center, 2)
+    shared = np.full(len(xyxy), np.nan)
+    known = np.isfinite(local).all(axis=1) & np.isfinite(corners).all(axis=(1, 2))
+    # Older releases of shapely warn where nothing is shared.
+    with np.errstate(invalid='ignore'):
+        shared[known] = shapely.area(
+            shapely.intersection(
+                shapely.polygons(corners[known]), shapely.box(*local[known].T)
+            )
+        )
+    return shared
 
 
 def _shared(xyxy: FloatArray, reference: FloatArray) -> FloatArray:
@@ -183,6 +169,23 @@ def area(xyxy: FloatArray) -> FloatArray:
     """
     sides = np.maximum(xyxy[:, 2:] - xyxy[:, :2], 0.0)
     return sides[:, 0] * sides[:, 1]
+
+
+def bounds(points: FloatArray) -> FloatArray:
+    """
+    Find the axis-aligned bounds of points.
+
+    Parameters
+    ----------
+    points : ndarray, shape (..., K, 2)
+        Corners or vertices, pixels.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        x_min, y_min, x_max, y_max, pixels.
+    """
+    return np.concatenate((points.min(axis=-2), points.max(axis=-2)), axis=-1)
 
 
 def iou(xyxy: FloatArray, reference: FloatArray) -> FloatArray:

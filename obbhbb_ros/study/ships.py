@@ -16,8 +16,8 @@ from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import OnError
-from obbhbb_ros.labels import match_references
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.study.matching import match_references
 from obbhbb_ros.study.progress import track
 
 
@@ -174,7 +174,7 @@ def read_ships(
         Format of `paths`; by default it is detected.
     reference : path-like, optional
         Labels that hold the reference boxes, matched by image and best overlap, see
-        `obbhbb_ros.labels.match_references`. By default each ship keeps the one beside it.
+        `obbhbb_ros.study.matching.match_references`. By default each ship keeps the one beside it.
     image_size : tuple of int, optional
         Width and height of every image, pixels, for normalised formats.
     on_error : callable, optional
