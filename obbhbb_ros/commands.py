@@ -7,9 +7,12 @@ import argparse
 import gc
 import shlex
 import sys
+from collections.abc import Callable
 from collections.abc import Mapping
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+from typing import NamedTuple
 from typing import TypeAlias
 
 import numpy as np
@@ -42,54 +45,36 @@ PARAMETERS = {
     'f': f'fullness, above 0, up to {converter.F_RANGE[1]:g}',
     's': f'shrink factor, above 0, up to {converter.S_RANGE[1]:g}',
 }
-_RULE = converter.HullRule()
-_Commands: TypeAlias = 'argparse._SubParsersAction[argparse.ArgumentParser]'
+_Options: TypeAlias = argparse.Namespace
+# The method `add_argument` of a parser.
+_Add: TypeAlias = Callable[..., Any]
+
+
+class Command(NamedTuple):
+    """A command: its line of help, what adds its options, and what runs it."""
+
+    summary: str
+    add_options: Callable[[_Add], None]
+    run: Callable[[_Options], int]
 
 
 def run(arguments: Sequence[str]) -> int:
-    """
-    Run a command.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        Command line without the program's name.
-
-    Returns
-    -------
-    int
-        Exit code.
-
-    Raises
-    ------
-    ValueError, OSError
-        If the input is wrong, or a file cannot be read or written.
-    ImportError
-        If the command needs an extra that is not installed.
-    """
+    """Parse a command line, without the program's name, and run it; return the exit code."""
     parser = argparse.ArgumentParser(
         prog='obbhbb', description='Convert oriented boxes to axis-aligned ones, offline.'
     )
-    commands = parser.add_subparsers(required=True, metavar='COMMAND')
-    for add in (_add_demo, _add_convert, _add_evaluate, _add_calibrate, _add_report, _add_chips):
-        add(commands)
+    parsers = parser.add_subparsers(required=True, metavar='COMMAND', dest='command')
+    for name, command in COMMANDS.items():
+        command.add_options(parsers.add_parser(name, help=command.summary).add_argument)
     options = parser.parse_args(arguments, argparse.Namespace(given=list(arguments)))
-    code: int = options.run(options)
-    return code
+    return COMMANDS[options.command].run(options)
 
 
-def _add_demo(commands: _Commands) -> None:
-    """Describe `obbhbb demo`."""
-    parser = commands.add_parser(
-        'demo', help='convert a synthetic harbour with the real node; print a table, draw a picture'
-    )
-    parser.add_argument(
-        '--picture', type=Path, default=Path('out/harbour.png'), help='default: %(default)s'
-    )
-    parser.set_defaults(run=_demo)
+def _demo_options(add: _Add) -> None:
+    add('--picture', type=Path, default=Path('out/harbour.png'), help='default: %(default)s')
 
 
-def _demo(options: argparse.Namespace) -> int:
+def _demo(options: _Options) -> int:
     """Run the node on the harbour, once with each method."""
     from obbhbb_ros.nodes.demo import boxes_by_method
     from obbhbb_ros.study import drawing
@@ -103,44 +88,28 @@ def _demo(options: argparse.Namespace) -> int:
     return 0
 
 
-def _add_convert(commands: _Commands) -> None:
-    """Describe `obbhbb convert`."""
-    parser = commands.add_parser(
-        'convert', help='convert label files of oriented boxes to label files of axis-aligned boxes'
-    )
+def _convert_options(add: _Add) -> None:
+    rule = converter.HullRule()
     written = [name for name, each in FORMATS.items() if each.write_boxes is not None]
-    parser.add_argument('source', metavar='IN', type=Path, help='label file or folder to read')
-    parser.add_argument('target', metavar='OUT', type=Path, help='file or folder to write')
-    parser.add_argument(
-        '--from', dest='source_format', metavar='FORMAT',
-        help=f'format of IN: {", ".join(FORMATS)}; default: detected',
-    )
-    parser.add_argument(
-        '--to', dest='target_format', metavar='FORMAT',
-        help=f'format of OUT: {", ".join(written)}; default: by the suffix of OUT',
-    )
-    parser.add_argument(
-        '--method', default=_RULE.method, help=f'{", ".join(METHODS)}; default: %(default)s'
-    )
-    _add_numbers(parser, _RULE, PARAMETERS)
-    parser.add_argument('--max-length', type=float, help='maximum of the longer side, pixels')
-    parser.add_argument('--max-width', type=float, help='maximum of the shorter side, pixels')
-    parser.add_argument(
-        '--diagnostics', action='store_true',
-        help='also write length, width, theta, t_x, t_y and capped of each box',
-    )
-    parser.add_argument(
-        '--image-size', type=int, nargs=2, metavar=('W', 'H'),
-        help='size of every image, pixels; default: from labels or images',
-    )
-    parser.add_argument(
-        '--strict', action='store_true',
-        help='exit with 1 if any record was malformed or could not be converted',
-    )
-    parser.set_defaults(run=_convert)
+    add('source', metavar='IN', type=Path, help='label file or folder to read')
+    add('target', metavar='OUT', type=Path, help='file or folder to write')
+    add('--from', dest='source_format', metavar='FORMAT',
+        help=f'format of IN: {", ".join(FORMATS)}; default: detected')
+    add('--to', dest='target_format', metavar='FORMAT',
+        help=f'format of OUT: {", ".join(written)}; default: by the suffix of OUT')
+    add('--method', default=rule.method, help=f'{", ".join(METHODS)}; default: %(default)s')
+    _add_numbers(add, rule, PARAMETERS)
+    add('--max-length', type=float, help='maximum of the longer side, pixels')
+    add('--max-width', type=float, help='maximum of the shorter side, pixels')
+    add('--diagnostics', action='store_true',
+        help='also write length, width, theta, t_x, t_y and capped of each box')
+    add('--image-size', type=int, nargs=2, metavar=('W', 'H'),
+        help='size of every image, pixels; default: from labels or images')
+    add('--strict', action='store_true',
+        help='exit with 1 if any record was malformed or could not be converted')
 
 
-def _convert(options: argparse.Namespace) -> int:
+def _convert(options: _Options) -> int:
     """Convert files, and sum up."""
     # Conversion fills tables: looking through them for garbage takes a fifth of its time.
     gc.disable()
@@ -165,42 +134,31 @@ def _convert(options: argparse.Namespace) -> int:
     return 1 if options.strict and not tally.complete else 0
 
 
-def _add_evaluate(commands: _Commands) -> None:
-    """Describe `obbhbb evaluate`."""
-    parser = commands.add_parser(
-        'evaluate', help='score methods on labelled ships, by angle, aspect ratio and class'
-    )
-    _add_labels(parser, '+')
-    parser.add_argument(
-        '--methods', nargs='+', metavar='METHOD', help=f'{", ".join(METHODS)}; default: all'
-    )
-    parser.add_argument(
-        '--protocol', choices=(*PROTOCOLS, 'both'), default='both',
-        help=''.join(f'{name}: {meaning}; ' for name, meaning in PROTOCOLS.items())
-        + 'default: %(default)s',
-    )
+def _evaluate_options(add: _Add) -> None:
+    _add_labels(add, '+')
+    add('--methods', nargs='+', metavar='METHOD', help=f'{", ".join(METHODS)}; default: all')
+    meanings = '; '.join(f'{name}: {meaning}' for name, meaning in PROTOCOLS.items())
+    add('--protocol', choices=(*PROTOCOLS, 'both'), default='both',
+        help=f'{meanings}; default: %(default)s')
     for name, meaning in PARAMETERS.items():
-        parser.add_argument(
-            f'--{name}', type=float,
-            help=f'{meaning}, of the tunable methods; default: that of each method',
-        )
-    _add_numbers(parser, evaluation.DEFAULT_SETTINGS, {
+        add(f'--{name}', type=float,
+            help=f'{meaning}, of the tunable methods; default: that of each method')
+    _add_numbers(add, evaluation.DEFAULT_SETTINGS, {
         'threshold': 'IoU from which a box matches',
         'keep': 'share of the reference that a box has to keep to be counted',
         'bootstrap': 'bootstrap samples for the confidence intervals, 0 for none',
         'seed': 'seed of the samples',
     })
-    parser.add_argument('--json', type=Path, help='JSON file to write the scores to')
-    parser.add_argument('--csv', type=Path, help='CSV file to write the scores to')
-    parser.add_argument(
-        '--plot', type=Path, help='picture file for a chart of mean IoU by angle (extra `plots`)'
-    )
-    parser.set_defaults(run=_evaluate)
+    add('--json', type=Path, help='JSON file to write the scores to')
+    add('--csv', type=Path, help='CSV file to write the scores to')
+    add('--plot', type=Path, help='picture file for a chart of mean IoU by angle (extra `plots`)')
 
 
-def _evaluate(options: argparse.Namespace) -> int:
+def _evaluate(options: _Options) -> int:
     """Score the methods."""
-    settings = evaluation.Settings(options.threshold, options.keep, options.bootstrap, options.seed)
+    settings = evaluation.Settings(
+        options.threshold, options.keep, options.bootstrap, options.seed
+    )
     chosen = rules.choose_rules(options.methods, options.q, options.f, options.s)
     ships = _read_ships(options)
     protocols = tuple(PROTOCOLS) if options.protocol == 'both' else (options.protocol,)
@@ -220,50 +178,33 @@ def _evaluate(options: argparse.Namespace) -> int:
     return 0
 
 
-def _add_calibrate(commands: _Commands) -> None:
-    """Describe `obbhbb calibrate`."""
-    parser = commands.add_parser(
-        'calibrate', help='find q, f and s for labelled ships; write a parameter file for the node'
-    )
-    _add_labels(parser, '*')
-    parser.add_argument(
-        '--synthetic', action='store_true', help="the paper's synthetic hulls instead of labels"
-    )
-    for name, choices, default in (
-        ('method', rules.TUNABLE_METHODS, calibration.DEFAULT_PLAN.method),
-        ('objective', calibration.OBJECTIVES, calibration.DEFAULT_PLAN.objective),
-        ('grid', GRIDS, 'paper'),
-    ):
-        parser.add_argument(
-            f'--{name}', choices=tuple(choices), default=default, help='default: %(default)s'
-        )
-    parser.add_argument(
-        '--refine', action=argparse.BooleanOptionalAction, default=calibration.DEFAULT_PLAN.refine,
-        help='refine the best setting of the grid (default); --no-refine is Algorithm 2',
-    )
-    _add_numbers(parser, calibration.DEFAULT_PLAN, {
+def _calibrate_options(add: _Add) -> None:
+    plan = calibration.DEFAULT_PLAN
+    _add_labels(add, '*')
+    add('--synthetic', action='store_true', help="the paper's synthetic hulls instead of labels")
+    add('--method', choices=rules.TUNABLE_METHODS, default=plan.method, help='default: %(default)s')
+    aims = '; '.join(f'{name}: {each.summary}' for name, each in calibration.OBJECTIVES.items())
+    add('--objective', choices=tuple(calibration.OBJECTIVES), default=plan.objective,
+        help=f'{aims}; default: %(default)s')
+    add('--grid', choices=tuple(GRIDS), default='paper', help='default: %(default)s')
+    add('--refine', action=argparse.BooleanOptionalAction, default=plan.refine,
+        help='refine the best setting of the grid (default); --no-refine is Algorithm 2')
+    _add_numbers(add, plan, {
         'keep': 'objective coverage: share of its reference box that a ship has to keep',
         'share': 'objective coverage: share of ships that have to keep it',
         'seed': 'seed of all splits',
     })
-    parser.add_argument(
-        '--exchangeable', choices=('ships', 'images'), default='ships',
+    add('--exchangeable', choices=('ships', 'images'), default='ships',
         help='objective coverage: what the guarantee takes as exchangeable; images if the ships '
-        'of an image resemble each other; default: %(default)s',
-    )
-    parser.add_argument(
-        '--folds', type=int, default=5,
-        help='folds of the cross-validation by image, 0 for none; default: %(default)s',
-    )
-    parser.add_argument('--per-class', action='store_true', help='try a rule for each class')
-    parser.add_argument(
-        '--by-aspect', action='store_true', help='try a rule for each band of aspect ratio'
-    )
-    parser.add_argument('-o', '--output', type=Path, help='parameter file to write')
-    parser.set_defaults(run=_calibrate)
+        'of an image resemble each other; default: %(default)s')
+    add('--folds', type=int, default=5,
+        help='folds of the cross-validation by image, 0 for none; default: %(default)s')
+    add('--per-class', action='store_true', help='try a rule for each class')
+    add('--by-aspect', action='store_true', help='try a rule for each band of aspect ratio')
+    add('-o', '--output', type=Path, help='parameter file to write')
 
 
-def _calibrate(options: argparse.Namespace) -> int:
+def _calibrate(options: _Options) -> int:
     """Find a rule, print how good it is, write it for the node."""
     if options.synthetic == bool(options.labels):
         raise ValueError('give either label files or --synthetic')
@@ -297,53 +238,34 @@ def _calibrate(options: argparse.Namespace) -> int:
     return 0
 
 
-def _add_report(commands: _Commands) -> None:
-    """Describe `obbhbb report`."""
-    parser = commands.add_parser(
-        'report', help='write tables, curves and a gallery of labelled ships to one HTML page'
-    )
-    _add_labels(parser, '+')
-    parser.add_argument(
-        '-o', '--output', type=Path, default=Path('out/report.html'), help='default: %(default)s'
-    )
-    parser.add_argument(
-        '--gallery', type=int, default=24, metavar='N',
-        help='maximum number of ships to draw, the worst first; default: %(default)s',
-    )
-    _add_numbers(parser, evaluation.DEFAULT_SETTINGS, {'seed': 'seed of all samples'})
-    parser.set_defaults(run=_report)
+def _report_options(add: _Add) -> None:
+    _add_labels(add, '+')
+    add('-o', '--output', type=Path, default=Path('out/report.html'), help='default: %(default)s')
+    add('--gallery', type=int, default=24, metavar='N',
+        help='maximum number of ships to draw, the worst first; default: %(default)s')
+    _add_numbers(add, evaluation.DEFAULT_SETTINGS, {'seed': 'seed of all samples'})
 
 
-def _report(options: argparse.Namespace) -> int:
+def _report(options: _Options) -> int:
     """Write the page."""
     from obbhbb_ros.study.report import report_page
 
+    ships = _read_ships(options)
     title = ', '.join(path.name for path in options.labels)
-    page = report_page(
-        _read_ships(options), title, gallery=options.gallery, seed=options.seed
-    )
+    page = report_page(ships, title, gallery=options.gallery, seed=options.seed)
     write_text(options.output, page)
     print(f'written: {options.output}')
     return 0
 
 
-def _add_chips(commands: _Commands) -> None:
-    """Describe `obbhbb chips`."""
-    parser = commands.add_parser(
-        'chips', help='compare the chips of the methods: pixels, and bytes by codec'
-    )
-    parser.add_argument(
-        'labels', type=Path, nargs='?',
-        help='label file or folder with the images beside it; default: a synthetic harbour',
-    )
-    _add_numbers(parser, CropSettings(), {'padding': 'fraction of the box to add on each side'})
-    parser.add_argument(
-        '--picture', type=Path, help='picture file for the first image and the costs'
-    )
-    parser.set_defaults(run=_chips)
+def _chips_options(add: _Add) -> None:
+    add('labels', type=Path, nargs='?',
+        help='label file or folder with the images beside it; default: a synthetic harbour')
+    _add_numbers(add, CropSettings(), {'padding': 'fraction of the box to add on each side'})
+    add('--picture', type=Path, help='picture file for the first image and the costs')
 
 
-def _chips(options: argparse.Namespace) -> int:
+def _chips(options: _Options) -> int:
     """Compare the chips of the methods."""
     if options.labels is None:
         what, source = 'a synthetic harbour, no pixel of it real', harbour()
@@ -369,35 +291,51 @@ def _chips(options: argparse.Namespace) -> int:
     return 0
 
 
-def _add_labels(parser: argparse.ArgumentParser, count: str) -> None:
+COMMANDS: Mapping[str, Command] = {
+    'demo': Command(
+        'convert a synthetic harbour with the real node; print a table, draw a picture',
+        _demo_options, _demo,
+    ),
+    'convert': Command(
+        'convert label files of oriented boxes to label files of axis-aligned boxes',
+        _convert_options, _convert,
+    ),
+    'evaluate': Command(
+        'score methods on labelled ships, by angle, aspect ratio and class',
+        _evaluate_options, _evaluate,
+    ),
+    'calibrate': Command(
+        'find q, f and s for labelled ships; write a parameter file for the node',
+        _calibrate_options, _calibrate,
+    ),
+    'report': Command(
+        'write tables, curves and a gallery of labelled ships to one HTML page',
+        _report_options, _report,
+    ),
+    'chips': Command(
+        'compare the chips of the methods: pixels, and bytes by codec', _chips_options, _chips
+    ),
+}
+
+
+def _add_labels(add: _Add, count: str) -> None:
     """Add the options that say which ships to read."""
-    parser.add_argument(
-        'labels', type=Path, nargs=count, metavar='LABELS', help='label files or folders'
-    )
-    parser.add_argument('--format', help=f'{", ".join(FORMATS)}; default: detected')
-    parser.add_argument(
-        '--reference', type=Path, metavar='FILE',
-        help='labels with the reference boxes, matched by image and overlap',
-    )
-    parser.add_argument(
-        '--image-size', type=int, nargs=2, metavar=('W', 'H'),
-        help='size of every image, pixels, for normalised formats without images',
-    )
+    add('labels', type=Path, nargs=count, metavar='LABELS', help='label files or folders')
+    add('--format', help=f'{", ".join(FORMATS)}; default: detected')
+    add('--reference', type=Path, metavar='FILE',
+        help='labels with the reference boxes, matched by image and overlap')
+    add('--image-size', type=int, nargs=2, metavar=('W', 'H'),
+        help='size of every image, pixels, for normalised formats without images')
 
 
-def _add_numbers(
-    parser: argparse.ArgumentParser, defaults: object, meanings: Mapping[str, str]
-) -> None:
+def _add_numbers(add: _Add, defaults: object, meanings: Mapping[str, str]) -> None:
     """Add options for numbers whose names, types and defaults are those of an object."""
     for name, meaning in meanings.items():
         default = getattr(defaults, name)
-        parser.add_argument(
-            f'--{name}', type=type(default), default=default,
-            help=f'{meaning}; default: %(default)s',
-        )
+        add(f'--{name}', type=type(default), default=default, help=f'{meaning}; default: {default}')
 
 
-def _read_ships(options: argparse.Namespace) -> Ships:
+def _read_ships(options: _Options) -> Ships:
     """Read the ships; malformed records are reported, counted and left out."""
     errors: list[labels.LabelError] = []
 

@@ -11,13 +11,9 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.converter import S_RANGE
 from obbhbb_ros.converter import HullRule
-from obbhbb_ros.study.grid_search import GRIDS
+from obbhbb_ros.study import grid_search
 from obbhbb_ros.study.grid_search import Bench
-from obbhbb_ros.study.grid_search import Grid
 from obbhbb_ros.study.grid_search import Point
-from obbhbb_ros.study.grid_search import refine
-from obbhbb_ros.study.grid_search import search
-from obbhbb_ros.study.grid_search import tunable
 from obbhbb_ros.study.ships import Ships
 
 _DIGITS = 4
@@ -27,18 +23,7 @@ _SHARES = 5
 
 @dataclass(frozen=True)
 class Objective:
-    """
-    What a calibration optimises.
-
-    Attributes
-    ----------
-    summary : str
-        One line for texts.
-    figure : str
-        The key of `obbhbb_ros.study.evaluation.figures` that measures it.
-    sign : float
-        1 if more is better, -1 if less is.
-    """
+    """What to optimise, and the figure of `evaluation.figures` that gains by it, times `sign`."""
 
     summary: str
     figure: str
@@ -91,7 +76,7 @@ class Plan:
 
     method: str = 'superellipse'
     objective: str = 'mean_iou'
-    grid: Grid = GRIDS['paper']
+    grid: grid_search.Grid = grid_search.GRIDS['paper']
     refine: bool = True
     keep: float = 0.95
     share: float = 0.95
@@ -100,7 +85,7 @@ class Plan:
 
     def __post_init__(self) -> None:
         """Check every value."""
-        tunable(self.method)
+        grid_search.tunable(self.method)
         if self.objective not in OBJECTIVES:
             raise ValueError(
                 f'objective must be one of {", ".join(OBJECTIVES)}, not {self.objective!r}'
@@ -156,9 +141,9 @@ def calibrate(ships: Ships, plan: Plan = DEFAULT_PLAN) -> HullRule:
         mean = float(found.iou.mean())
         return (float(found.match(0.5).mean()), mean) if plan.objective == 'match50' else (mean,)
 
-    q, f, s = search(bench, plan.grid).best(plan.objective)
+    q, f, s = grid_search.search(bench, plan.grid).best(plan.objective)
     if plan.refine:
-        point = refine(Point(1.0 - 1.0 / q, f, s), value)
+        point = grid_search.refine(Point(1.0 - 1.0 / q, f, s), value)
         q, f, s = point.q, point.f, point.s
     return HullRule(plan.method, *(round(each, _DIGITS) for each in (q, f, s)))
 
@@ -200,7 +185,7 @@ def _covering_shape(bench: Bench, plan: Plan) -> tuple[float, float]:
     candidates = [Point(1.0 - 1.0 / q, f, 1.0) for q in plan.grid.q for f in plan.grid.f]
     best = max(candidates, key=value)
     if plan.refine:
-        best = refine(best, value)
+        best = grid_search.refine(best, value)
     return best.q, best.f
 
 
@@ -258,26 +243,7 @@ def conformal_rank(count: int, share: float, per_image: int = 1) -> int:
 
 
 def split(ships: Ships, seed: int = 0) -> tuple[Ships, Ships]:
-    """
-    Split ships into two halves by image.
-
-    Parameters
-    ----------
-    ships : Ships
-        Ships of two or more images.
-    seed : int
-        Seed of the split.
-
-    Returns
-    -------
-    tuple of Ships
-        The ships of one half of the images and of the other.
-
-    Raises
-    ------
-    ValueError
-        If there is only one image.
-    """
+    """Split the ships of two or more images into two halves by image, see `folds_of`."""
     fold = folds_of(ships, 2, seed)
     return ships.take(fold == 0), ships.take(fold == 1)
 
@@ -285,15 +251,6 @@ def split(ships: Ships, seed: int = 0) -> tuple[Ships, Ships]:
 def folds_of(ships: Ships, folds: int, seed: int = 0) -> NDArray[np.intp]:
     """
     Assign images to folds, so that no image lies in two.
-
-    Parameters
-    ----------
-    ships : Ships
-        N ships.
-    folds : int
-        Number of folds, 2 or more.
-    seed : int
-        Seed of the assignment.
 
     Returns
     -------
@@ -316,19 +273,7 @@ def enough(ships: Ships, plan: Plan, least: int = 30) -> bool:
     """
     Check whether a group of ships is large enough for a rule of its own.
 
-    Parameters
-    ----------
-    ships : Ships
-        The group.
-    plan : Plan
-        How it would be calibrated.
-    least : int
-        Minimum number of ships for any objective.
-
-    Returns
-    -------
-    bool
-        False also if `coverage` could not be guaranteed from so few.
+    It needs `least` ships, and for the objective `coverage` enough of them for its guarantee.
     """
     if len(ships) < least or ships.image_count < 2:
         return False

@@ -40,16 +40,10 @@ _SEED = 20261122
 @dataclass
 class Cost:
     """
-    Cost of the chips of a method.
+    Cost of the chips of a method: their number, their pixels, and their bytes by codec.
 
-    Attributes
-    ----------
-    chips, pixels : int
-        Number of chips, and of their pixels.
-    sizes : dict of str to int
-        Size of their files by codec, bytes.
-    hull, hull_lost : float
-        Area of the known hulls, and of their parts outside the chip of their ship; square pixels.
+    `hull` is the area of the known hulls, `hull_lost` that of their parts outside the chip of their
+    ship; square pixels.
     """
 
     chips: int = 0
@@ -114,20 +108,8 @@ def render(labels: ImageLabels) -> NDArray[np.uint8]:
     """
     Paint a synthetic picture of labelled hulls: grey ships with decks and noise on a noisy sea.
 
-    Parameters
-    ----------
-    labels : ImageLabels
-        Ships with hulls, and the size of the image.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-        Red, green, blue; the same every time.
-
-    Raises
-    ------
-    ValueError
-        If the size of the image is not known.
+    The picture, uint8 of shape (H, W, 3), is the same every time. Raises ValueError if the size of
+    the image is not known.
     """
     from PIL import Image
     from PIL import ImageDraw

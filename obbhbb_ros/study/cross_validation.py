@@ -17,20 +17,16 @@ from numpy.typing import NDArray
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_by_rule
+from obbhbb_ros.study import evaluation
 from obbhbb_ros.study.calibration import OBJECTIVES
 from obbhbb_ros.study.calibration import Plan
 from obbhbb_ros.study.calibration import calibrate
 from obbhbb_ros.study.calibration import enough
 from obbhbb_ros.study.calibration import folds_of
-from obbhbb_ros.study.evaluation import Interval
-from obbhbb_ros.study.evaluation import Settings
-from obbhbb_ros.study.evaluation import bootstrap_intervals
-from obbhbb_ros.study.evaluation import figures
 from obbhbb_ros.study.rules import PAPER_RULE
 from obbhbb_ros.study.ships import Ships
 
 CALIBRATED = 'calibrated'
-BY_ASPECT = 'by aspect ratio'
 BY_CLASS = 'by class'
 _BANDS = 3
 
@@ -39,19 +35,36 @@ _BANDS = 3
 Grouping: TypeAlias = Callable[[Ships, Ships], NDArray[np.intp]]
 
 
+def no_groups(known: Ships, ships: Ships) -> NDArray[np.intp]:
+    """Leave all ships to the rule of all."""
+    return np.full(len(ships), -1)
+
+
+def aspect_groups(known: Ships, ships: Ships) -> NDArray[np.intp]:
+    """Sort ships into the bands of aspect ratio that hold equally many of the known ships."""
+    return np.searchsorted(_aspect_edges(known), ships.aspect)
+
+
+def class_groups(names: list[str], known: Ships, ships: Ships) -> NDArray[np.intp]:
+    """Sort ships into some classes; the others are in no group."""
+    found = np.full(len(ships), -1, dtype=np.intp)
+    for index, name in enumerate(names):
+        found[ships.class_ids == name] = index
+    return found
+
+
+def _aspect_edges(ships: Ships) -> FloatArray:
+    """Find the inner edges of bands of aspect ratio with equally many ships."""
+    return np.asarray(np.quantile(ships.aspect, np.arange(1, _BANDS) / _BANDS))
+
+
 @dataclass(frozen=True)
 class Gain:
     """
     Gain of groups with rules of their own over one rule, on held-out images.
 
-    Attributes
-    ----------
-    name : str
-        The groups.
-    mean : float
-        Mean gain in the figure of the objective: IoU, matches, or relative area saved.
-    low, high : float
-        95 % bootstrap interval, images drawn with replacement.
+    The mean gain in the figure of the objective (IoU, matches, or relative area saved) and its
+    95 % bootstrap interval.
     """
 
     name: str
@@ -106,9 +119,9 @@ class Outcome:
     gains: list[Gain] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
-    def interval(self, name: str) -> Interval:
+    def interval(self, name: str) -> evaluation.Interval:
         """Bound the mean IoU of one way to convert."""
-        return bootstrap_intervals([self.held_out[name]['iou']], self.ships.image_of)[0]
+        return evaluation.bootstrap_intervals([self.held_out[name]['iou']], self.ships.image_of)[0]
 
 
 def run(
@@ -167,25 +180,22 @@ def run(
             f'share of {plan.share:g}.'
         )
         return outcome
-    settings = Settings(keep=plan.keep, bootstrap=0)
-    boxes = {
-        'outer': convert_by_rule(ships.boxes, HullRule('outer')),
-        'paper': convert_by_rule(ships.boxes, PAPER_RULE),
-        'default': convert_by_rule(ships.boxes, HullRule()),
-        CALIBRATED: held_out_boxes(ships, plan, folds, seed),
-    }
+    classes = _large_classes(outcome) if per_class else []
+    groupings: dict[str, Grouping] = {CALIBRATED: no_groups}
     if by_aspect:
-        boxes[BY_ASPECT] = held_out_boxes(ships, plan, folds, seed, aspect_groups)
-    names = _large_classes(outcome) if per_class else []
-    if names:
-        boxes[BY_CLASS] = held_out_boxes(ships, plan, folds, seed, partial(class_groups, names))
-    outcome.held_out = {name: figures(ships, xyxy, 'hbb', settings) for name, xyxy in boxes.items()}
-    if by_aspect:
-        outcome.gains.append(_gain(outcome, BY_ASPECT))
+        groupings['by aspect ratio'] = aspect_groups
         outcome.rule_of_aspect = _aspect_rules(ships, plan)
-    if names:
-        outcome.gains.append(_gain(outcome, BY_CLASS))
-    for name in names:
+    if classes:
+        groupings[BY_CLASS] = partial(class_groups, classes)
+    fixed = {'outer': HullRule('outer'), 'paper': PAPER_RULE, 'default': HullRule()}
+    boxes = {name: convert_by_rule(ships.boxes, rule) for name, rule in fixed.items()}
+    for name, grouping in groupings.items():
+        boxes[name] = held_out_boxes(ships, plan, folds, seed, grouping)
+    settings = evaluation.Settings(keep=plan.keep, bootstrap=0)
+    for name, xyxy in boxes.items():
+        outcome.held_out[name] = evaluation.figures(ships, xyxy, 'hbb', settings)
+    outcome.gains += [_gain(outcome, name) for name in groupings if name != CALIBRATED]
+    for name in classes:
         rows = ships.class_ids == name
         gain = _gain(outcome, BY_CLASS, rows, f'class {name}')
         outcome.gains.append(gain)
@@ -195,7 +205,7 @@ def run(
 
 
 def held_out_boxes(
-    ships: Ships, plan: Plan, folds: int = 5, seed: int = 0, grouping: Grouping | None = None
+    ships: Ships, plan: Plan, folds: int = 5, seed: int = 0, grouping: Grouping = no_groups
 ) -> FloatArray:
     """
     Convert each ship by rules that were calibrated on other images.
@@ -204,13 +214,9 @@ def held_out_boxes(
     ----------
     ships : Ships
         N ships with reference boxes.
-    plan : Plan
-        How to calibrate.
-    folds : int
-        Number of parts in which the images are left out.
-    seed : int
-        Seed of the parts.
-    grouping : callable, optional
+    plan, folds, seed
+        As for `run`.
+    grouping : callable
         Sorts ships into groups; a group that is large enough gets a rule of its own.
 
     Returns
@@ -223,40 +229,14 @@ def held_out_boxes(
     for index in range(folds):
         known, new = ships.take(fold != index), ships.take(fold == index)
         boxes = convert_by_rule(new.boxes, calibrate(known, plan))
-        if grouping is not None:
-            _convert_groups(known, new, plan, grouping, boxes)
+        of_known, of_new = grouping(known, known), grouping(known, new)
+        for group in np.unique(of_new[of_new >= 0]):
+            rows, mine = of_known == group, of_new == group
+            if rows.any() and enough(known.take(rows), plan):
+                rule = calibrate(known.take(rows), plan)
+                boxes[mine] = convert_by_rule(new.boxes.take(mine), rule)
         xyxy[fold == index] = boxes
     return xyxy
-
-
-def _convert_groups(
-    known: Ships, new: Ships, plan: Plan, grouping: Grouping, xyxy: FloatArray
-) -> None:
-    """Replace the boxes of each group that is large enough by those of its own rule."""
-    of_known, of_new = grouping(known, known), grouping(known, new)
-    for group in np.unique(of_new[of_new >= 0]):
-        rows, mine = of_known == group, of_new == group
-        if rows.any() and enough(known.take(rows), plan):
-            rule = calibrate(known.take(rows), plan)
-            xyxy[mine] = convert_by_rule(new.boxes.take(mine), rule)
-
-
-def aspect_groups(known: Ships, ships: Ships) -> NDArray[np.intp]:
-    """Sort ships into the bands of aspect ratio that hold equally many of the known ships."""
-    return np.searchsorted(_aspect_edges(known), ships.aspect)
-
-
-def class_groups(names: list[str], known: Ships, ships: Ships) -> NDArray[np.intp]:
-    """Sort ships into some classes; the others are in no group."""
-    found = np.full(len(ships), -1, dtype=np.intp)
-    for index, name in enumerate(names):
-        found[ships.class_ids == name] = index
-    return found
-
-
-def _aspect_edges(ships: Ships) -> FloatArray:
-    """Find the inner edges of bands of aspect ratio with equally many ships."""
-    return np.asarray(np.quantile(ships.aspect, np.arange(1, _BANDS) / _BANDS))
 
 
 def _aspect_rules(ships: Ships, plan: Plan) -> list[tuple[float, float, HullRule]]:
@@ -273,9 +253,7 @@ def _large_classes(outcome: Outcome) -> list[str]:
     """List the classes that are large enough for a rule; note it if there is nothing to try."""
     ships = outcome.ships
     names = [str(name) for name in np.unique(ships.class_ids) if str(name)]
-    large = [
-        name for name in names if enough(ships.take(ships.class_ids == name), outcome.plan)
-    ]
+    large = [name for name in names if enough(ships.take(ships.class_ids == name), outcome.plan)]
     if len(names) >= 2 and large:
         return large
     outcome.notes.append(
@@ -292,5 +270,5 @@ def _gain(
     found = outcome.held_out[name][objective.figure]
     base = outcome.held_out[CALIBRATED][objective.figure]
     difference = (objective.sign * (found - base))[rows]
-    (interval,) = bootstrap_intervals([difference], outcome.ships.image_of[rows])
+    (interval,) = evaluation.bootstrap_intervals([difference], outcome.ships.image_of[rows])
     return Gain(title or name, float(difference.mean()), *interval)

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All pictures of the study: charts of its results, ships with their boxes. Needs matplotlib."""
+"""
+All pictures of the study: charts of its results, and ships with their boxes. Needs matplotlib.
+
+One function per figure; `save` writes a figure to a file, `svg` makes it part of a page.
+"""
 
 from __future__ import annotations
 
@@ -26,13 +30,10 @@ from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.converter import convert_by_rule
 from obbhbb_ros.files import replacing
 from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.study import evaluation
 from obbhbb_ros.study.chip_costs import ENCODERS
 from obbhbb_ros.study.chip_costs import RULES
 from obbhbb_ros.study.chip_costs import Cost
-from obbhbb_ros.study.evaluation import TILT_BANDS
-from obbhbb_ros.study.evaluation import Score
-from obbhbb_ros.study.evaluation import nested
-from obbhbb_ros.study.evaluation import tilt_band
 from obbhbb_ros.study.grid_search import Surface
 from obbhbb_ros.study.hulls import FAMILIES
 from obbhbb_ros.study.hulls import FULLNESS
@@ -71,18 +72,7 @@ def color_of(method: str) -> str:
 
 
 def save(figure: Figure, path: Path, dpi: int = 120) -> None:
-    """
-    Write a figure to a file, and make its folder if there is none.
-
-    Parameters
-    ----------
-    figure : Figure
-        The figure.
-    path : Path
-        Picture file; the suffix gives the format, PNG without one.
-    dpi : int
-        Resolution, pixels per inch.
-    """
+    """Write a figure to a file, in the format of its suffix, PNG without one."""
     with _styled(), replacing(path) as whole:
         figure.savefig(whole, dpi=dpi, format=path.suffix[1:] or 'png')
 
@@ -118,27 +108,17 @@ def _add_legend_below(figure: Figure, share: float, handles: Sequence[Any], **op
 def _add_box(axes: Any, xyxy: FloatArray, color: str, width: float) -> None:
     """Outline an axis-aligned box, (4,)."""
     x0, y0, x1, y1 = xyxy
-    axes.add_patch(
-        Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=color, lw=width)
-    )
+    axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=color, lw=width))
 
 
 @_styled()
-def angle_figure(scores: Sequence[Score]) -> Figure:
+def angle_figure(scores: Sequence[evaluation.Score]) -> Figure:
     """
     Draw mean IoU over the bands of tilt, as the paper's angle-stratified figures do.
 
-    Parameters
-    ----------
-    scores : sequence of Score
-        Result of `evaluate`.
-
-    Returns
-    -------
-    Figure
-        One panel per protocol, one line per method, 95 % intervals if there are any.
+    One panel per protocol, one line per method, with 95 % intervals if there are any.
     """
-    by_protocol = nested(scores)
+    by_protocol = evaluation.nested(scores)
     figure, panels = _panels(len(by_protocol), 4.6)
     for axes, (protocol, by_stratum) in zip(panels, by_protocol.items(), strict=True):
         _draw_bands(axes, by_stratum)
@@ -148,9 +128,9 @@ def angle_figure(scores: Sequence[Score]) -> Figure:
     return figure
 
 
-def _draw_bands(axes: Any, by_stratum: Mapping[str, Mapping[str, Score]]) -> None:
+def _draw_bands(axes: Any, by_stratum: Mapping[str, Mapping[str, evaluation.Score]]) -> None:
     """Draw one protocol."""
-    bands = [tilt_band(*band) for band in TILT_BANDS]
+    bands = [evaluation.tilt_band(*band) for band in evaluation.TILT_BANDS]
     for index, method in enumerate(next(iter(by_stratum.values()))):
         found = {x: by_stratum[band][method] for x, band in enumerate(bands) if band in by_stratum}
         spread = np.array([[s.iou - s.iou_low, s.iou_high - s.iou] for s in found.values()])
@@ -169,19 +149,7 @@ def _draw_bands(axes: Any, by_stratum: Mapping[str, Mapping[str, Score]]) -> Non
 
 @_styled()
 def surface_figure(surfaces: Mapping[str, Surface]) -> Figure:
-    """
-    Draw mean IoU over q and f, each at its best s.
-
-    Parameters
-    ----------
-    surfaces : mapping of str to Surface
-        By title.
-
-    Returns
-    -------
-    Figure
-        One panel per surface, its best setting framed.
-    """
+    """Draw mean IoU over q and f, each at its best s; the best setting of each panel is framed."""
     figure, panels = _panels(len(surfaces), 3.9)
     best_s = {title: surface.mean_iou.max(axis=2) for title, surface in surfaces.items()}
     limits = min(v.min() for v in best_s.values()), max(v.max() for v in best_s.values())
@@ -219,11 +187,6 @@ def error_figure(errors: Mapping[str, Mapping[str, FloatArray]]) -> Figure:
     ----------
     errors : mapping of str to mapping of str to ndarray
         By method and family, one error per level of `FULLNESS`.
-
-    Returns
-    -------
-    Figure
-        One panel per method.
     """
     figure, panels = _panels(len(errors), 3.4, sharey=True)
     for axes, (method, families) in zip(panels, errors.items(), strict=True):
@@ -242,7 +205,7 @@ def sensitivity_figure(
     fullness: FloatArray, curves: Mapping[str, Mapping[str, FloatArray]]
 ) -> Figure:
     """
-    Draw mean IoU over f for narrow and wide hulls.
+    Draw mean IoU over f for narrow and wide hulls, and mark the best f of each.
 
     Parameters
     ----------
@@ -250,11 +213,6 @@ def sensitivity_figure(
         Values of f.
     curves : mapping of str to mapping of str to ndarray of shape (K,)
         By panel and line.
-
-    Returns
-    -------
-    Figure
-        The best f of each line is marked.
     """
     figure, panels = _panels(len(curves), 3.8)
     for axes, (title, lines) in zip(panels, curves.items(), strict=True):
@@ -270,14 +228,7 @@ def sensitivity_figure(
 
 @_styled()
 def hull_panel() -> Figure:
-    """
-    Draw the synthetic hulls with their oriented box and reference box.
-
-    Returns
-    -------
-    Figure
-        One row per fullness, one column per family.
-    """
+    """Draw the synthetic hulls, one row per fullness, with their oriented and reference boxes."""
     angle, aspect = np.radians(25.0), 4.0
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [1.0, 1.0 / aspect] @ turn
@@ -306,11 +257,6 @@ def scene_figure(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> Figure
         N ships.
     boxes : mapping of str to ndarray of shape (N, 4)
         Axis-aligned boxes by method, pixels.
-
-    Returns
-    -------
-    Figure
-        The picture.
     """
     figure = Figure(figsize=(17.0, 7.6), layout='constrained')
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1.0))
@@ -382,11 +328,6 @@ def cost_figure(
         The image.
     title : str
         Where the data come from.
-
-    Returns
-    -------
-    Figure
-        The picture.
     """
     figure = Figure(figsize=(15.0, 5.6), layout='constrained')
     scene, bars = figure.subplots(1, 2, width_ratios=(1.1, 1.0))

@@ -23,11 +23,7 @@ from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_by_rule
 from obbhbb_ros.files import write_text
-from obbhbb_ros.study.metrics import PROTOCOLS
-from obbhbb_ros.study.metrics import Overlap
-from obbhbb_ros.study.metrics import area
-from obbhbb_ros.study.metrics import overlap_with_hbb
-from obbhbb_ros.study.metrics import overlap_with_obb
+from obbhbb_ros.study import metrics
 from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.ships import Ships
 
@@ -103,10 +99,8 @@ class Settings:
         IoU from which a box matches, in (0, 1].
     keep : float
         Share of the reference that a box has to keep, in (0, 1].
-    bootstrap : int
-        Bootstrap samples for the confidence intervals; 0 for none.
-    seed : int
-        Seed of the samples.
+    bootstrap, seed : int
+        Bootstrap samples for the confidence intervals, 0 for none, and their seed.
 
     Raises
     ------
@@ -140,17 +134,12 @@ class Interval(NamedTuple):
 
 def strata(ships: Ships) -> dict[str, NDArray[np.bool_]]:
     """
-    Sort ships into bands of tilt and aspect ratio, and by class.
-
-    Parameters
-    ----------
-    ships : Ships
-        N ships.
+    Sort ships into bands of tilt and aspect ratio, and by class if there are several classes.
 
     Returns
     -------
     dict of str to ndarray of bool, shape (N,)
-        Members of each stratum that has any. Classes only if there are several.
+        Members of each stratum that has any.
     """
     tilt, aspect = ships.tilt, ships.aspect
     found = {ALL: np.ones(len(ships), dtype=bool)}
@@ -175,7 +164,7 @@ def tilt_band(low: float, high: float) -> str:
 def evaluate(
     ships: Ships,
     rules: Mapping[str, HullRule] = DEFAULT_RULES,
-    protocols: Sequence[str] = tuple(PROTOCOLS),
+    protocols: Sequence[str] = tuple(metrics.PROTOCOLS),
     settings: Settings = DEFAULT_SETTINGS,
 ) -> list[Score]:
     """
@@ -242,11 +231,11 @@ def nested(scores: Iterable[Score]) -> dict[str, dict[str, dict[str, Score]]]:
     return found
 
 
-def overlap(ships: Ships, xyxy: FloatArray, protocol: str) -> Overlap:
+def overlap(ships: Ships, xyxy: FloatArray, protocol: str) -> metrics.Overlap:
     """Compare N boxes, (N, 4), with the reference that a protocol prescribes."""
     if protocol == 'obb':
-        return overlap_with_obb(xyxy, ships.boxes)
-    return overlap_with_hbb(xyxy, ships.reference)
+        return metrics.overlap_with_obb(xyxy, ships.boxes)
+    return metrics.overlap_with_hbb(xyxy, ships.reference)
 
 
 def ships_for(ships: Ships, protocol: str) -> Ships:
@@ -258,20 +247,16 @@ def ships_for(ships: Ships, protocol: str) -> Ships:
     ships : Ships
         Ships.
     protocol : str
-        A key of `PROTOCOLS`.
-
-    Returns
-    -------
-    Ships
-        All for the protocol `obb`, those with a reference box for `hbb`.
+        `obb` for all, `hbb` for those with a reference box.
 
     Raises
     ------
     ValueError
         If the protocol is unknown, or there is no such ship.
     """
-    if protocol not in PROTOCOLS:
-        raise ValueError(f'protocol must be one of {", ".join(PROTOCOLS)}, not {protocol!r}')
+    if protocol not in metrics.PROTOCOLS:
+        known = ', '.join(metrics.PROTOCOLS)
+        raise ValueError(f'protocol must be one of {known}, not {protocol!r}')
     if protocol == 'obb':
         return ships
     if not ships.with_reference.any():
@@ -285,18 +270,7 @@ def figures(
     ships: Ships, xyxy: FloatArray, protocol: str, settings: Settings = DEFAULT_SETTINGS
 ) -> dict[str, FloatArray]:
     """
-    Compute all figures of each ship.
-
-    Parameters
-    ----------
-    ships : Ships
-        N ships.
-    xyxy : ndarray, shape (N, 4)
-        Their boxes, pixels.
-    protocol : str
-        A key of `PROTOCOLS`.
-    settings : Settings
-        Threshold and required coverage.
+    Compute all figures of N ships and their boxes, (N, 4), under a protocol.
 
     Returns
     -------
@@ -313,7 +287,7 @@ def figures(
         'area_error': found.relative_error,
         'coverage': found.coverage,
         'kept': (found.coverage >= settings.keep).astype(float),
-        'area': found.predicted / area(convert_by_rule(ships.boxes, HullRule('outer'))),
+        'area': found.predicted / metrics.area(convert_by_rule(ships.boxes, HullRule('outer'))),
     }
 
 
@@ -332,10 +306,8 @@ def bootstrap_intervals(
         One value per ship, for each mean.
     images : ndarray of int, shape (N,)
         Image of each ship.
-    samples : int
-        Number of draws, the same for all means; 0 gives NaN.
-    seed : int
-        Seed of the draws.
+    samples, seed : int
+        Number of draws, the same for all means, and their seed; without draws the ends are NaN.
 
     Returns
     -------
@@ -363,20 +335,13 @@ def bootstrap_intervals(
 
 def write_json(path: Path, scores: Iterable[Score], settings: Settings) -> None:
     """
-    Write scores as JSON: the settings, the meaning of the protocols, a list of scores.
+    Write the settings, the meaning of the protocols and the scores of `evaluate` as JSON.
 
-    Parameters
-    ----------
-    path : Path
-        File to write. NaN is written as null, infinity as the text "inf".
-    scores : iterable of Score
-        Result of `evaluate`.
-    settings : Settings
-        Its settings.
+    NaN is written as null, infinity as the text "inf".
     """
     document = {
         'settings': asdict(settings),
-        'protocols': PROTOCOLS,
+        'protocols': metrics.PROTOCOLS,
         'scores': [{k: _plain(v) for k, v in asdict(score).items()} for score in scores],
     }
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
@@ -391,16 +356,7 @@ def _plain(value: Any) -> Any:
 
 
 def write_csv(path: Path, scores: Iterable[Score]) -> None:
-    """
-    Write scores as CSV, one per row, columns named as the attributes of `Score`.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    scores : iterable of Score
-        Result of `evaluate`.
-    """
+    """Write the scores of `evaluate` as CSV, columns named as the attributes of `Score`."""
     file = io.StringIO()
     writer = csv.DictWriter(file, [field.name for field in fields(Score)], lineterminator='\n')
     writer.writeheader()

@@ -117,21 +117,11 @@ class Bench:
 
     def needed_shrink(self, extents: FloatArray, keep: float) -> FloatArray:
         """
-        Find the smallest s of each ship that keeps enough of its reference box.
+        Find the smallest s of each ship that keeps enough of its reference box, shape (N,).
 
-        The part that is kept never falls as s grows, so bisection finds it.
-
-        Parameters
-        ----------
-        extents : ndarray, shape (2, N)
-            Half-extents at s = 1, pixels.
-        keep : float
-            Share of the reference's area, in (0, 1].
-
-        Returns
-        -------
-        ndarray, shape (N,)
-            s to within 1e-11; infinity where even the largest s does not keep enough.
+        The part that is kept never falls as s grows, so bisection finds it, to within 1e-11; s is
+        infinite where even the largest does not keep enough. `extents`, (2, N), are half-extents
+        at s = 1, pixels; `keep` is a share of the reference's area, in (0, 1].
         """
         enough = keep * self._reference_area * (1.0 - 1e-12)
         low, high = np.zeros(extents.shape[1]), np.full(extents.shape[1], S_RANGE[1])
@@ -181,18 +171,6 @@ def search(bench: Bench, grid: Grid) -> Surface:
     """
     Try every setting of a grid (Algorithm 2).
 
-    Parameters
-    ----------
-    bench : Bench
-        The ships.
-    grid : Grid
-        The settings.
-
-    Returns
-    -------
-    Surface
-        The figures of each setting.
-
     Examples
     --------
     >>> from obbhbb_ros.study.hulls import synthetic_ships
@@ -213,16 +191,7 @@ def search(bench: Bench, grid: Grid) -> Surface:
 
 
 class Point(NamedTuple):
-    """
-    A setting on the scale of the refinement.
-
-    Attributes
-    ----------
-    u : float
-        1 - 1/q, from 0 for the rhombus to 1 for the rectangle.
-    f, s : float
-        Fullness and shrink factor.
-    """
+    """A setting to refine; u = 1 - 1/q runs from 0 for the rhombus to 1 for the rectangle."""
 
     u: float
     f: float
@@ -249,18 +218,7 @@ def refine(point: Point, value: Callable[[Point], tuple[float, ...]]) -> Point:
     Climb from a setting, one coordinate at a time with halving steps (compass search).
 
     It needs no derivative, which medians and shares do not have, and never ends below its start.
-
-    Parameters
-    ----------
-    point : Point
-        Where to start.
-    value : callable
-        What to maximise; tuples are compared from the front.
-
-    Returns
-    -------
-    Point
-        A local maximum, to within the last step.
+    `value` is to grow; its tuples are compared from the front.
     """
     best = value(point)
     step = _FIRST_STEP

@@ -2,7 +2,7 @@
 """
 The synthetic harbour that the package carries.
 
-`python -m obbhbb_ros.study.harbour FILE` writes it; a test holds the carried file equal. No
+`python -m obbhbb_ros.study.harbour FILE` writes it; a test compares the carried file with it. No
 pixel of it is real: ships of random size lie at anchor or side by side at piers, and their hulls
 are one outline stretched to each ship.
 """
@@ -59,15 +59,7 @@ def outline(points: int = 12) -> FloatArray:
     """
     Draw a merchant hull in the unit box: rounded stern, parallel sides, pointed bow.
 
-    Parameters
-    ----------
-    points : int
-        Vertices on each side of the bow.
-
-    Returns
-    -------
-    ndarray, shape (2 * points + 5, 2)
-        Vertices in order, touching all four sides of [-1, 1]^2.
+    The vertices, (2 * points + 5, 2), are in order and touch all four sides of [-1, 1]^2.
     """
     t = np.linspace(0.0, 1.0, points)
     # The sides run parallel over two thirds of the length, then close on a parabola.
@@ -92,14 +84,7 @@ def ships() -> list[Ship]:
 
 
 def harbour() -> ImageLabels:
-    """
-    Label the harbour.
-
-    Returns
-    -------
-    ImageLabels
-        Oriented boxes, hull polygons and, as reference, the bounds of each hull, pixels.
-    """
+    """Label the harbour: oriented boxes, hulls and, as reference, the bounds of each hull."""
     fleet = ships()
     box = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     hulls = tuple(ship.place(outline()) for ship in fleet)

@@ -34,14 +34,14 @@ _SPACING = 1.5 * LENGTH
 @dataclass(frozen=True)
 class Family:
     """
-    A hull form.
+    A hull form of the paper.
 
     Attributes
     ----------
     name : str
-        As the paper has it.
+        Its name in the paper.
     bow, stern : float
-        Half the width of the ends at fullness 1, relative to that amidships, in [0, 1].
+        Width of the ends at fullness 1, relative to the width amidships, in [0, 1].
     curve : float
         Exponent of the sides between amidships and an end: 1 is straight, above is fuller.
     """
@@ -53,22 +53,10 @@ class Family:
 
     def outline(self, fullness: float = 1.0) -> FloatArray:
         """
-        Draw the hull in the unit box, bow at +x.
+        Draw the hull in the unit box, bow at +x; `fullness`, in (0, 1], scales its ends.
 
-        Parameters
-        ----------
-        fullness : float
-            Scales the width of the ends, in (0, 1].
-
-        Returns
-        -------
-        ndarray, shape (K, 2)
-            Vertices in order, touching all four sides of [-1, 1]^2.
-
-        Raises
-        ------
-        ValueError
-            If `fullness` is out of range.
+        The vertices, (K, 2), are in order and touch all four sides of [-1, 1]^2. Raises ValueError
+        if `fullness` is out of range.
         """
         if not 0.0 < fullness <= 1.0:
             raise ValueError(f'fullness must be in (0, 1], not {fullness}')

@@ -12,10 +12,7 @@ import numpy as np
 
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_by_rule
-from obbhbb_ros.study.hulls import FULLNESS
-from obbhbb_ros.study.hulls import Family
-from obbhbb_ros.study.hulls import class_name
-from obbhbb_ros.study.hulls import synthetic_ships
+from obbhbb_ros.study import hulls
 from obbhbb_ros.study.metrics import overlap_with_hbb
 from obbhbb_ros.study.rules import PAPER_RULE
 from obbhbb_ros.study.ships import Ships
@@ -50,18 +47,7 @@ PAPER_ROWS: MappingProxyType[str, HullRule] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Comparison:
-    """
-    One number of the paper's Table 1 and ours.
-
-    Attributes
-    ----------
-    family, row, fullness
-        Its place in the table; `row` is N, M or S.
-    paper, ours : float
-        Mean relative error.
-    fitted : bool
-        Whether the family was shaped to give this number.
-    """
+    """A mean relative error in the paper's Table 1, and ours, to which its family may be fitted."""
 
     family: str
     row: str
@@ -76,22 +62,8 @@ class Comparison:
         return self.ours - self.paper
 
 
-def relative_errors(ships: Ships, rule: HullRule) -> dict[str, float]:
-    """
-    Compute the mean relative error (Eq. relerr) of a rule by class.
-
-    Parameters
-    ----------
-    ships : Ships
-        Ships with reference boxes.
-    rule : HullRule
-        The rule.
-
-    Returns
-    -------
-    dict of str to float
-        By class, in alphabetical order.
-    """
+def _relative_errors(ships: Ships, rule: HullRule) -> dict[str, float]:
+    """Compute the mean relative error (Eq. relerr) of a rule by class."""
     errors = overlap_with_hbb(convert_by_rule(ships.boxes, rule), ships.reference).relative_error
     return {
         name: float(errors[ships.class_ids == name].mean())
@@ -99,30 +71,25 @@ def relative_errors(ships: Ships, rule: HullRule) -> dict[str, float]:
     }
 
 
-def paper_comparison(ships: Ships | None = None) -> list[Comparison]:
+def paper_comparison() -> list[Comparison]:
     """
     Compare the paper's Table 1 with the results on synthetic hulls.
-
-    Parameters
-    ----------
-    ships : Ships, optional
-        Synthetic ships of all families and levels; `synthetic_ships(seed=None)` by default.
 
     Returns
     -------
     list of Comparison
         48, by family, row and fullness; 4 of them fitted.
     """
-    ships = synthetic_ships(seed=None) if ships is None else ships
-    errors = {row: relative_errors(ships, rule) for row, rule in PAPER_ROWS.items()}
+    ships = hulls.synthetic_ships(seed=None)
+    errors = {row: _relative_errors(ships, rule) for row, rule in PAPER_ROWS.items()}
     return [
         Comparison(
-            family, row, full, paper, errors[row][class_name(family, full)],
+            family, row, full, paper, errors[row][hulls.class_name(family, full)],
             fitted=row == 'N' and full == 1.0,
         )
         for family, table in PAPER_TABLE.items()
         for row, numbers in table.items()
-        for full, paper in zip(FULLNESS, numbers, strict=True)
+        for full, paper in zip(hulls.FULLNESS, numbers, strict=True)
     ]
 
 
@@ -131,21 +98,13 @@ def mean_deviation(found: Sequence[Comparison], row: str) -> float:
     return float(np.mean([abs(c.deviation) for c in found if c.row == row and not c.fitted]))
 
 
-def fit_ends(family: Family) -> Family:
+def fit_ends(family: hulls.Family) -> hulls.Family:
     """
     Shape a family so that it gives the paper's row "N" at fullness 1.00.
 
-    Parameters
-    ----------
-    family : Family
-        Its ends below 1 are replaced by one number, found by bisection to 1e-5.
-
-    Returns
-    -------
-    Family
-        The fitted form; a rectangle is returned as it is.
+    Its ends below 1 are replaced by one number, found by bisection to 1e-5.
     """
-    target = PAPER_TABLE[family.name]['N'][FULLNESS.index(1.0)]
+    target = PAPER_TABLE[family.name]['N'][hulls.FULLNESS.index(1.0)]
     low, high = 0.0, 1.0
     fitted = family
     while high - low > 1e-5:
@@ -155,7 +114,7 @@ def fit_ends(family: Family) -> Family:
             bow=end if family.bow < 1.0 else 1.0,
             stern=end if family.stern < 1.0 else 1.0,
         )
-        ships = synthetic_ships([fitted], [1.0], seed=None)
-        (error,) = relative_errors(ships, PAPER_ROWS['N']).values()
+        ships = hulls.synthetic_ships([fitted], [1.0], seed=None)
+        (error,) = _relative_errors(ships, PAPER_ROWS['N']).values()
         low, high = (end, high) if error > target else (low, end)
     return fitted

@@ -41,11 +41,6 @@ def choose_rules(
     q, f, s : float, optional
         Parameters of the tunable methods, instead of those in `DEFAULT_RULES`.
 
-    Returns
-    -------
-    dict of str to HullRule
-        By method.
-
     Raises
     ------
     ValueError
@@ -77,7 +72,7 @@ def convert_by_class(
     ships : Ships
         N ships.
     rule : HullRule
-        Rule for every class without its own.
+        Rule for every class that is not in `rule_of_class`.
     rule_of_class : mapping of str to HullRule
         By class.
 

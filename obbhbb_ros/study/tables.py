@@ -11,21 +11,13 @@ import numpy as np
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.study import evaluation
+from obbhbb_ros.study import metrics
 from obbhbb_ros.study.calibration import OBJECTIVES
 from obbhbb_ros.study.calibration import Plan
 from obbhbb_ros.study.chip_costs import ENCODERS
 from obbhbb_ros.study.chip_costs import Cost
 from obbhbb_ros.study.cross_validation import Outcome
-from obbhbb_ros.study.evaluation import ALL
-from obbhbb_ros.study.evaluation import DEFAULT_SETTINGS
-from obbhbb_ros.study.evaluation import Score
-from obbhbb_ros.study.evaluation import Settings
-from obbhbb_ros.study.evaluation import nested
-from obbhbb_ros.study.metrics import PROTOCOLS
-from obbhbb_ros.study.metrics import background_removed
-from obbhbb_ros.study.metrics import bounds
-from obbhbb_ros.study.metrics import hull_inside
-from obbhbb_ros.study.metrics import iou
 from obbhbb_ros.study.paper_table import Comparison
 from obbhbb_ros.study.rules import TUNABLE_METHODS
 
@@ -43,32 +35,21 @@ def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     )
 
 
-def score_tables(scores: Sequence[Score], settings: Settings = DEFAULT_SETTINGS) -> str:
-    """
-    Write scores as tables.
-
-    Parameters
-    ----------
-    scores : sequence of Score
-        Result of `evaluate`.
-    settings : Settings
-        Its settings.
-
-    Returns
-    -------
-    str
-        For each protocol all figures over all ships, then the mean IoU by stratum.
-    """
+def score_tables(
+    scores: Sequence[evaluation.Score],
+    settings: evaluation.Settings = evaluation.DEFAULT_SETTINGS,
+) -> str:
+    """Write scores: for each protocol all figures over all ships, then mean IoU by stratum."""
     head = [
         'method', 'q / f / s', 'mean IoU', '95 % interval', f'match{settings.threshold * 100:g}',
         'overshoot', 'undershoot', 'avg. error', 'area error', 'coverage',
         f'keep {settings.keep:.0%}', 'area/outer',
     ]
     parts = []
-    for protocol, by_stratum in nested(scores).items():
-        overall = list(by_stratum[ALL].values())
+    for protocol, by_stratum in evaluation.nested(scores).items():
+        overall = list(by_stratum[evaluation.ALL].values())
         title = (
-            f'protocol {protocol}: {PROTOCOLS[protocol]}, '
+            f'protocol {protocol}: {metrics.PROTOCOLS[protocol]}, '
             f'{overall[0].ships} ships in {overall[0].images} images'
         )
         parts.append(f'{title}\n{text_table(head, [_score_row(each) for each in overall])}')
@@ -76,12 +57,12 @@ def score_tables(scores: Sequence[Score], settings: Settings = DEFAULT_SETTINGS)
         for stratum, by_method in by_stratum.items():
             mine = list(by_method.values())
             rows.append([stratum, str(mine[0].ships), *(f'{score.iou:.4f}' for score in mine)])
-        table = text_table(['stratum', 'ships', *by_stratum[ALL]], rows)
+        table = text_table(['stratum', 'ships', *by_stratum[evaluation.ALL]], rows)
         parts.append(f'mean IoU by stratum, {title}\n{table}')
     return '\n\n'.join(parts)
 
 
-def _score_row(score: Score) -> list[str]:
+def _score_row(score: evaluation.Score) -> list[str]:
     """Write the figures of one method."""
     tuned = score.method in TUNABLE_METHODS
     return [
@@ -96,19 +77,7 @@ def _score_row(score: Score) -> list[str]:
 
 
 def outcome_text(outcome: Outcome) -> str:
-    """
-    Write the result of a calibration.
-
-    Parameters
-    ----------
-    outcome : Outcome
-        Result of `run`.
-
-    Returns
-    -------
-    str
-        The rule, held-out figures, gains of groups, and the guarantee.
-    """
+    """Write the result of a calibration: the rule, held-out figures, gains, the guarantee."""
     plan = outcome.plan
     parts = [
         f'{plan.method} for {OBJECTIVES[plan.objective].summary}, '
@@ -212,13 +181,15 @@ def scene_table(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> str:
         of the hulls that it keeps, mean IoU with the reference.
     """
     hulls = [hull for hull in labels.hulls if hull is not None]
-    hull_area = np.sum(hull_inside(np.array([bounds(hull) for hull in hulls]), hulls))
+    whole = np.sum(metrics.hull_inside(np.array([metrics.bounds(hull) for hull in hulls]), hulls))
+    inside = {name: np.sum(metrics.hull_inside(xyxy, hulls)) for name, xyxy in boxes.items()}
+    background = {name: np.sum(metrics.area(xyxy)) - inside[name] for name, xyxy in boxes.items()}
     rows = []
     for name, xyxy in boxes.items():
         width, height = np.mean(xyxy[:, 2:] - xyxy[:, :2], axis=0)
-        removed = background_removed(xyxy, boxes['outer'], hulls)
-        kept = np.sum(hull_inside(xyxy, hulls)) / hull_area
-        overlap = np.mean(iou(xyxy, labels.reference))
+        removed = 1.0 - background[name] / background['outer']
+        kept = inside[name] / whole
+        overlap = np.mean(metrics.iou(xyxy, labels.reference))
         rows.append((
             name, f'{width:.1f} x {height:.1f}', f'{removed:.1%}', f'{kept:.1%}', f'{overlap:.3f}'
         ))
