@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from typing import NamedTuple
 from typing import TypeAlias
 
 import numpy as np
@@ -50,24 +49,17 @@ _Options: TypeAlias = argparse.Namespace
 _Add: TypeAlias = Callable[..., Any]
 
 
-class Command(NamedTuple):
-    """A command: its line of help, what adds its options, and what runs it."""
-
-    summary: str
-    add_options: Callable[[_Add], None]
-    run: Callable[[_Options], int]
-
-
 def run(arguments: Sequence[str]) -> int:
     """Parse a command line, without the program's name, and run it; return the exit code."""
     parser = argparse.ArgumentParser(
         prog='obbhbb', description='Convert oriented boxes to axis-aligned ones, offline.'
     )
     parsers = parser.add_subparsers(required=True, metavar='COMMAND', dest='command')
-    for name, command in COMMANDS.items():
-        command.add_options(parsers.add_parser(name, help=command.summary).add_argument)
+    for name, (add_options, command) in COMMANDS.items():
+        add_options(parsers.add_parser(name, help=command.__doc__).add_argument)
     options = parser.parse_args(arguments, argparse.Namespace(given=list(arguments)))
-    return COMMANDS[options.command].run(options)
+    _, command = COMMANDS[options.command]
+    return command(options)
 
 
 def _demo_options(add: _Add) -> None:
@@ -75,7 +67,7 @@ def _demo_options(add: _Add) -> None:
 
 
 def _demo(options: _Options) -> int:
-    """Run the node on the harbour, once with each method."""
+    """Convert a synthetic harbour with the real node; print a table and draw a picture."""
     from obbhbb_ros.nodes.demo import boxes_by_method
     from obbhbb_ros.study import drawing
 
@@ -110,7 +102,7 @@ def _convert_options(add: _Add) -> None:
 
 
 def _convert(options: _Options) -> int:
-    """Convert files, and sum up."""
+    """Convert label files of oriented boxes to label files of axis-aligned boxes."""
     # Conversion fills tables: looking through them for garbage takes a fifth of its time.
     gc.disable()
     try:
@@ -155,7 +147,7 @@ def _evaluate_options(add: _Add) -> None:
 
 
 def _evaluate(options: _Options) -> int:
-    """Score the methods."""
+    """Score methods on labelled ships, by angle, aspect ratio and class."""
     settings = evaluation.Settings(
         options.threshold, options.keep, options.bootstrap, options.seed
     )
@@ -205,7 +197,7 @@ def _calibrate_options(add: _Add) -> None:
 
 
 def _calibrate(options: _Options) -> int:
-    """Find a rule, print how good it is, write it for the node."""
+    """Find q, f and s for labelled ships; write a parameter file for the node."""
     if options.synthetic == bool(options.labels):
         raise ValueError('give either label files or --synthetic')
     if options.synthetic:
@@ -247,7 +239,7 @@ def _report_options(add: _Add) -> None:
 
 
 def _report(options: _Options) -> int:
-    """Write the page."""
+    """Write tables, curves and a gallery of labelled ships to one HTML page."""
     from obbhbb_ros.study.report import report_page
 
     ships = _read_ships(options)
@@ -266,7 +258,7 @@ def _chips_options(add: _Add) -> None:
 
 
 def _chips(options: _Options) -> int:
-    """Compare the chips of the methods."""
+    """Compare the chips of the methods: pixels, and bytes by codec."""
     if options.labels is None:
         what, source = 'a synthetic harbour, no pixel of it real', harbour()
         pictures = [(source, chip_costs.render(source))]
@@ -291,30 +283,14 @@ def _chips(options: _Options) -> int:
     return 0
 
 
-COMMANDS: Mapping[str, Command] = {
-    'demo': Command(
-        'convert a synthetic harbour with the real node; print a table, draw a picture',
-        _demo_options, _demo,
-    ),
-    'convert': Command(
-        'convert label files of oriented boxes to label files of axis-aligned boxes',
-        _convert_options, _convert,
-    ),
-    'evaluate': Command(
-        'score methods on labelled ships, by angle, aspect ratio and class',
-        _evaluate_options, _evaluate,
-    ),
-    'calibrate': Command(
-        'find q, f and s for labelled ships; write a parameter file for the node',
-        _calibrate_options, _calibrate,
-    ),
-    'report': Command(
-        'write tables, curves and a gallery of labelled ships to one HTML page',
-        _report_options, _report,
-    ),
-    'chips': Command(
-        'compare the chips of the methods: pixels, and bytes by codec', _chips_options, _chips
-    ),
+# The first line of what runs a command is its line of help.
+COMMANDS: dict[str, tuple[Callable[[_Add], None], Callable[[_Options], int]]] = {
+    'demo': (_demo_options, _demo),
+    'convert': (_convert_options, _convert),
+    'evaluate': (_evaluate_options, _evaluate),
+    'calibrate': (_calibrate_options, _calibrate),
+    'report': (_report_options, _report),
+    'chips': (_chips_options, _chips),
 }
 
 
@@ -343,11 +319,10 @@ def _read_ships(options: _Options) -> Ships:
         errors.append(error)
         note(f'obbhbb: left out: {error}')
 
+    size = tuple(options.image_size) if options.image_size else None
     ships = read_ships(
         options.labels, options.format,
-        reference=options.reference,
-        image_size=tuple(options.image_size) if options.image_size else None,
-        on_error=report,
+        reference=options.reference, image_size=size, on_error=report,
     )
     if options.reference:
         found = int(ships.with_reference.sum())

@@ -22,6 +22,7 @@ from obbhbb_ros.converter import convert_by_rule
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import encode
+from obbhbb_ros.downlink.crops import CropPlan
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.labels import ImageLabels
@@ -54,8 +55,7 @@ class Cost:
 
 
 def chip_costs(
-    images: Iterable[tuple[ImageLabels, NDArray[Any]]],
-    settings: CropSettings,
+    images: Iterable[tuple[ImageLabels, NDArray[Any]]], settings: CropSettings
 ) -> dict[str, Cost]:
     """
     Cut the chips of images by each of `RULES`, and encode them with each of `ENCODERS`.
@@ -66,11 +66,6 @@ def chip_costs(
         Labels and pixels.
     settings : CropSettings
         How boxes become regions; without merging and limits, so that each ship has its chip.
-
-    Returns
-    -------
-    dict of str to Cost
-        By method.
     """
     costs = {name: Cost() for name in RULES}
     for labels, pixels in images:
@@ -78,25 +73,19 @@ def chip_costs(
         size = pixels.shape[1], pixels.shape[0]
         for name, rule in RULES.items():
             plan = plan_crops(convert_by_rule(boxes, rule), labels.scores, size, settings)
-            _add(costs[name], labels, pixels, plan.regions, plan.sources)
+            _add(costs[name], labels, pixels, plan)
     return costs
 
 
-def _add(
-    cost: Cost,
-    labels: ImageLabels,
-    pixels: NDArray[Any],
-    regions: NDArray[np.int64],
-    sources: NDArray[np.intp],
-) -> None:
+def _add(cost: Cost, labels: ImageLabels, pixels: NDArray[Any], plan: CropPlan) -> None:
     """Add the chips of one image."""
-    chips = [pixels[y0:y1, x0:x1] for x0, y0, x1, y1 in regions.tolist()]
+    chips = [pixels[y0:y1, x0:x1] for x0, y0, x1, y1 in plan.regions.tolist()]
     cost.chips += len(chips)
     cost.pixels += sum(chip.shape[0] * chip.shape[1] for chip in chips)
     for codec, settings in ENCODERS.items():
         cost.sizes[codec] += sum(len(encode(chip, settings)) for chip in chips)
     image = shapely.box(0, 0, pixels.shape[1], pixels.shape[0])
-    for region, row in zip(regions, sources, strict=True):
+    for region, row in zip(plan.regions, plan.sources, strict=True):
         hull = labels.hulls[row]
         if hull is not None:
             visible = shapely.make_valid(shapely.polygons(hull)) & image

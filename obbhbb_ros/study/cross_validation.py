@@ -165,7 +165,7 @@ def run(
     >>> from obbhbb_ros.study.hulls import FAMILIES, synthetic_ships
     >>> boxy = synthetic_ships([FAMILIES['rectangular']], [1.0], aspects=2, angles=9)
     >>> outcome = run(boxy, Plan(), folds=2)
-    >>> round(outcome.held_out['calibrated']['iou'].mean(), 2)
+    >>> round(float(outcome.held_out['calibrated']['iou'].mean()), 2)
     0.99
     """
     if (per_class or by_aspect) and not folds:

@@ -130,7 +130,7 @@ def angle_figure(scores: Sequence[evaluation.Score]) -> Figure:
 
 def _draw_bands(axes: Any, by_stratum: Mapping[str, Mapping[str, evaluation.Score]]) -> None:
     """Draw one protocol."""
-    bands = [evaluation.tilt_band(*band) for band in evaluation.TILT_BANDS]
+    bands = list(evaluation.TILT_BANDS)
     for index, method in enumerate(next(iter(by_stratum.values()))):
         found = {x: by_stratum[band][method] for x, band in enumerate(bands) if band in by_stratum}
         spread = np.array([[s.iou - s.iou_low, s.iou_high - s.iou] for s in found.values()])
@@ -180,14 +180,7 @@ def _draw_surface(axes: Any, values: FloatArray, limits: tuple[float, float]) ->
 
 @_styled()
 def error_figure(errors: Mapping[str, Mapping[str, FloatArray]]) -> Figure:
-    """
-    Draw the best relative error by family and fullness.
-
-    Parameters
-    ----------
-    errors : mapping of str to mapping of str to ndarray
-        By method and family, one error per level of `FULLNESS`.
-    """
+    """Draw the best relative errors by method and family, one for each level of `FULLNESS`."""
     figure, panels = _panels(len(errors), 3.4, sharey=True)
     for axes, (method, families) in zip(panels, errors.items(), strict=True):
         for index, (full, shade) in enumerate(zip(FULLNESS, _SHADES, strict=True)):
@@ -204,16 +197,7 @@ def error_figure(errors: Mapping[str, Mapping[str, FloatArray]]) -> Figure:
 def sensitivity_figure(
     fullness: FloatArray, curves: Mapping[str, Mapping[str, FloatArray]]
 ) -> Figure:
-    """
-    Draw mean IoU over f for narrow and wide hulls, and mark the best f of each.
-
-    Parameters
-    ----------
-    fullness : ndarray, shape (K,)
-        Values of f.
-    curves : mapping of str to mapping of str to ndarray of shape (K,)
-        By panel and line.
-    """
+    """Draw mean IoU over K values of f, by panel and line, (K,), and mark the best f of each."""
     figure, panels = _panels(len(curves), 3.8)
     for axes, (title, lines) in zip(panels, curves.items(), strict=True):
         for color, (name, values) in zip(_LINES, lines.items(), strict=False):
@@ -248,16 +232,7 @@ def hull_panel() -> Figure:
 
 
 def scene_figure(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> Figure:
-    """
-    Draw the ships of an image with the boxes of each method: the whole and some close-ups.
-
-    Parameters
-    ----------
-    labels : ImageLabels
-        N ships.
-    boxes : mapping of str to ndarray of shape (N, 4)
-        Axis-aligned boxes by method, pixels.
-    """
+    """Draw N ships of an image with the boxes, (N, 4), of each method: all, and some close-ups."""
     figure = Figure(figsize=(17.0, 7.6), layout='constrained')
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1.0))
     whole, details = halves
@@ -316,18 +291,9 @@ def cost_figure(
     costs: Mapping[str, Cost], labels: ImageLabels, pixels: NDArray[Any], title: str
 ) -> Figure:
     """
-    Draw an image with its regions, and the cost of the chips relative to the outer boxes.
+    Draw an image, (H, W, C), with its boxes, and the cost of chips relative to the outer boxes.
 
-    Parameters
-    ----------
-    costs : mapping of str to Cost
-        By method, `outer` among them.
-    labels : ImageLabels
-        Labels of the image.
-    pixels : ndarray of uint8, shape (H, W, C)
-        The image.
-    title : str
-        Where the data come from.
+    The title says where the data come from.
     """
     figure = Figure(figsize=(15.0, 5.6), layout='constrained')
     scene, bars = figure.subplots(1, 2, width_ratios=(1.1, 1.0))

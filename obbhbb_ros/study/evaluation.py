@@ -28,8 +28,11 @@ from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.ships import Ships
 
 ALL = 'all'
-TILT_BANDS = ((0.0, 15.0), (15.0, 30.0), (30.0, 45.0))
-ASPECT_BANDS = ((1.0, 3.0), (3.0, 5.0), (5.0, 7.0), (7.0, np.inf))
+# A ship belongs to a band from its lower end to below its upper one; tilt is 45° at most.
+TILT_BANDS = {'tilt 0-15°': (0.0, 15.0), 'tilt 15-30°': (15.0, 30.0), 'tilt 30-45°': (30.0, np.inf)}
+ASPECT_BANDS = {
+    'L/W 1-3': (1.0, 3.0), 'L/W 3-5': (3.0, 5.0), 'L/W 5-7': (5.0, 7.0), 'L/W >= 7': (7.0, np.inf)
+}
 TILTED = 10.0
 _TAIL = (1.0 - 0.95) / 2.0
 # Draws at a time, to limit the memory for many images.
@@ -141,24 +144,23 @@ def strata(ships: Ships) -> dict[str, NDArray[np.bool_]]:
     dict of str to ndarray of bool, shape (N,)
         Members of each stratum that has any.
     """
-    tilt, aspect = ships.tilt, ships.aspect
-    found = {ALL: np.ones(len(ships), dtype=bool)}
-    for low, high in TILT_BANDS:
-        # The last band includes its upper end.
-        found[tilt_band(low, high)] = (tilt >= low) & ((tilt < high) | (high == 45.0))
-    found[f'tilt > {TILTED:g}°'] = tilt > TILTED
-    for low, high in ASPECT_BANDS:
-        name = f'L/W {low:g}-{high:g}' if np.isfinite(high) else f'L/W >= {low:g}'
-        found[name] = (aspect >= low) & (aspect < high)
+    found = {
+        ALL: np.ones(len(ships), dtype=bool),
+        **in_bands(ships.tilt, TILT_BANDS),
+        f'tilt > {TILTED:g}°': ships.tilt > TILTED,
+        **in_bands(ships.aspect, ASPECT_BANDS),
+    }
     classes = np.unique(ships.class_ids).tolist()
     if len(classes) > 1:
         found |= {f'class {each}': ships.class_ids == each for each in classes}
     return {name: rows for name, rows in found.items() if rows.any()}
 
 
-def tilt_band(low: float, high: float) -> str:
-    """Name a band of tilt."""
-    return f'tilt {low:g}-{high:g}°'
+def in_bands(
+    values: FloatArray, bands: Mapping[str, tuple[float, float]]
+) -> dict[str, NDArray[np.bool_]]:
+    """Find the members of each band, (N,), among N values."""
+    return {name: (values >= low) & (values < high) for name, (low, high) in bands.items()}
 
 
 def evaluate(

@@ -97,14 +97,11 @@ def synthetic_ships(
 
     Parameters
     ----------
-    families : sequence of Family
-        Hull forms.
-    fullness : sequence of float
-        Levels of fullness, in (0, 1].
-    aspects : int
-        Number of aspect ratios, evenly over `ASPECT_RANGE`; a single one is its middle.
-    angles : int
-        Number of angles, one in each of as many equal parts of [0, 90) degrees.
+    families, fullness
+        Hull forms, and their levels of fullness, in (0, 1].
+    aspects, angles : int
+        Number of aspect ratios, evenly over `ASPECT_RANGE` (a single one is its middle), and of
+        angles, one in each of as many equal parts of [0, 90) degrees.
     seed : int or None
         Seed of the position of each angle in its part; None for the middle.
 

@@ -24,19 +24,11 @@ MIN_IOU = 0.3
 @dataclass(frozen=True, eq=False)
 class Matching:
     """
-    Oriented boxes with the reference boxes found for them.
+    All oriented boxes, in their order, with the reference boxes found for them.
 
-    Attributes
-    ----------
-    images : tuple of ImageLabels
-        All oriented boxes, in their order; rows of `reference` are NaN where no reference box was
-        found.
-    matched : int
-        Number of oriented boxes with a reference box.
-    unmatched_boxes : tuple of (str, int)
-        Image and row of each oriented box without one.
-    unmatched_references : tuple of (str, ndarray of shape (4,))
-        Image and xyxy of each reference box without an oriented box, pixels.
+    Rows of `reference` in `images` are NaN where none was found. `matched` is the number of those
+    found. Of what was not matched there are image and row of the oriented boxes, and image and
+    xyxy, pixels, of the reference boxes.
     """
 
     images: tuple[ImageLabels, ...]
@@ -66,11 +58,6 @@ def match_references(
         Lowest IoU of a reference box with the bounds of an oriented box, in (0, 1]. Bounds do not
         depend on a conversion rule, so the choice favours none. The reference box of a thin ship
         may be half as large as its bounds, so a higher limit would drop the difficult cases.
-
-    Returns
-    -------
-    Matching
-        Images with references, and what was not matched.
 
     Raises
     ------
@@ -117,19 +104,13 @@ def match_boxes(
     boxes: FloatArray, references: FloatArray, min_iou: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """
-    Match the boxes of one image to at most one reference each, the best IoU first.
-
-    Parameters
-    ----------
-    boxes, references : ndarray, shape (N, 4) and (M, 4)
-        x_min, y_min, x_max, y_max, pixels; NaN rows match nothing.
-    min_iou : float
-        Lowest IoU of a pair, above 0.
+    Match the boxes of one image, (N, 4), to at most one reference, (M, 4), each; best IoU first.
 
     Returns
     -------
     ndarray of int, ndarray of int
-        Rows of `boxes` and rows of `references` of each pair, by falling IoU.
+        Rows of `boxes` and rows of `references` of each pair, by falling IoU; NaN rows match
+        nothing.
     """
     own, other = _overlapping(boxes, references)
     # Two boxes without area have no IoU, and do not match.

@@ -31,8 +31,7 @@ def yaml_text(
     Returns
     -------
     str
-        YAML for `--params-file`, for a node of any name in any namespace. Parameters that are not
-        in it keep the node's defaults.
+        YAML for `--params-file`, for a node of any name in any namespace.
 
     Raises
     ------

@@ -127,8 +127,7 @@ def _sensitivity(ships: Ships) -> dict[str, dict[str, FloatArray]]:
     q is the method's default and s is 1. Bands without ships are left out.
     """
     curves: dict[str, dict[str, FloatArray]] = {name: {} for name in TUNABLE_METHODS}
-    for band, (low, high) in WIDTHS.items():
-        rows = (ships.aspect >= low) & (ships.aspect < high)
+    for band, rows in evaluation.in_bands(ships.aspect, WIDTHS).items():
         if rows.any():
             for name, lines in curves.items():
                 bench, q = grid_search.Bench(ships.take(rows), name), DEFAULT_RULES[name].q

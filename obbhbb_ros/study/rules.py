@@ -65,16 +65,7 @@ def convert_by_class(
     ships: Ships, rule: HullRule, rule_of_class: Mapping[str, HullRule]
 ) -> FloatArray:
     """
-    Convert ships as the node does, with rules for single classes.
-
-    Parameters
-    ----------
-    ships : Ships
-        N ships.
-    rule : HullRule
-        Rule for every class that is not in `rule_of_class`.
-    rule_of_class : mapping of str to HullRule
-        By class.
+    Convert ships as the node does: by the rule of their class, or else by `rule`.
 
     Returns
     -------

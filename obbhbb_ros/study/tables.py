@@ -165,20 +165,10 @@ def _against(value: int, outer: int) -> str:
 
 def scene_table(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> str:
     """
-    Compare the boxes of methods on ships with known hulls.
+    Compare the boxes of methods, each (N, 4), `outer` among them, on N ships with known hulls.
 
-    Parameters
-    ----------
-    labels : ImageLabels
-        N ships with hulls and reference boxes.
-    boxes : mapping of str to ndarray of shape (N, 4)
-        Axis-aligned boxes by method, `outer` among them, pixels.
-
-    Returns
-    -------
-    str
-        One row per method: mean size, share of the outer boxes' background that it removes, share
-        of the hulls that it keeps, mean IoU with the reference.
+    One row per method: mean size, share of the outer boxes' background that it removes, share of
+    the hulls that it keeps, mean IoU with the reference.
     """
     hulls = [hull for hull in labels.hulls if hull is not None]
     whole = np.sum(metrics.hull_inside(np.array([metrics.bounds(hull) for hull in hulls]), hulls))
