@@ -19,19 +19,16 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.converter import convert_by_rule
-from obbhbb_ros.downlink.chips import CODECS
-from obbhbb_ros.downlink.chips import CodecSettings
-from obbhbb_ros.downlink.chips import encode
-from obbhbb_ros.downlink.crops import CropPlan
-from obbhbb_ros.downlink.crops import CropSettings
-from obbhbb_ros.downlink.crops import plan_crops
+from obbhbb_ros.downlink import chips
+from obbhbb_ros.downlink import crops
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.study.rules import DEFAULT_RULES
 
 RULES = {name: DEFAULT_RULES[name] for name in ('outer', 'shape_aware', 'superellipse')}
 # The quality of JPEG 2000 is percent of the size of the bare pixels.
 ENCODERS = {
-    name: CodecSettings(name, quality=20 if name == 'jpeg2000' else 80) for name in CODECS
+    name: chips.CodecSettings(name, quality=20 if name == 'jpeg2000' else 80)
+    for name in chips.CODECS
 }
 
 _SEA = (38.0, 62.0, 78.0)
@@ -55,7 +52,7 @@ class Cost:
 
 
 def chip_costs(
-    images: Iterable[tuple[ImageLabels, NDArray[Any]]], settings: CropSettings
+    images: Iterable[tuple[ImageLabels, NDArray[Any]]], settings: crops.CropSettings
 ) -> dict[str, Cost]:
     """
     Cut the chips of images by each of `RULES`, and encode them with each of `ENCODERS`.
@@ -72,18 +69,18 @@ def chip_costs(
         boxes = OrientedBoxes.from_corners(labels.corners)
         size = pixels.shape[1], pixels.shape[0]
         for name, rule in RULES.items():
-            plan = plan_crops(convert_by_rule(boxes, rule), labels.scores, size, settings)
+            plan = crops.plan_crops(convert_by_rule(boxes, rule), labels.scores, size, settings)
             _add(costs[name], labels, pixels, plan)
     return costs
 
 
-def _add(cost: Cost, labels: ImageLabels, pixels: NDArray[Any], plan: CropPlan) -> None:
+def _add(cost: Cost, labels: ImageLabels, pixels: NDArray[Any], plan: crops.CropPlan) -> None:
     """Add the chips of one image."""
-    chips = [pixels[y0:y1, x0:x1] for x0, y0, x1, y1 in plan.regions.tolist()]
-    cost.chips += len(chips)
-    cost.pixels += sum(chip.shape[0] * chip.shape[1] for chip in chips)
+    cut = [pixels[y0:y1, x0:x1] for x0, y0, x1, y1 in plan.regions.tolist()]
+    cost.chips += len(cut)
+    cost.pixels += sum(chip.shape[0] * chip.shape[1] for chip in cut)
     for codec, settings in ENCODERS.items():
-        cost.sizes[codec] += sum(len(encode(chip, settings)) for chip in chips)
+        cost.sizes[codec] += sum(len(chips.encode(chip, settings)) for chip in cut)
     image = shapely.box(0, 0, pixels.shape[1], pixels.shape[0])
     for region, row in zip(plan.regions, plan.sources, strict=True):
         hull = labels.hulls[row]

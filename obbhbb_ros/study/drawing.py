@@ -18,11 +18,9 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib import patches
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.patches import Polygon
-from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import FloatArray
@@ -108,7 +106,7 @@ def _add_legend_below(figure: Figure, share: float, handles: Sequence[Any], **op
 def _add_box(axes: Any, xyxy: FloatArray, color: str, width: float) -> None:
     """Outline an axis-aligned box, (4,)."""
     x0, y0, x1, y1 = xyxy
-    axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=color, lw=width))
+    axes.add_patch(patches.Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=color, lw=width))
 
 
 @_styled()
@@ -221,8 +219,8 @@ def hull_panel() -> Figure:
     for row, full in zip(grid, FULLNESS, strict=True):
         for axes, family in zip(row, FAMILIES.values(), strict=True):
             hull = family.outline(full) * [1.0, 1.0 / aspect] @ turn
-            axes.add_patch(Polygon(hull, facecolor=_HULL, edgecolor=_HULL_EDGE))
-            axes.add_patch(Polygon(corners, fill=False, ls=_DASHES))
+            axes.add_patch(patches.Polygon(hull, facecolor=_HULL, edgecolor=_HULL_EDGE))
+            axes.add_patch(patches.Polygon(corners, fill=False, ls=_DASHES))
             _add_box(axes, bounds(hull), COLORS['superellipse'], 2.0)
             axes.set(xlim=(-1.2, 1.2), ylim=(0.8, -0.8), xticks=[], yticks=[], aspect='equal')
             axes.set_title(f'{family.name} {full:.2f}', fontsize=9)
@@ -252,7 +250,7 @@ def scene_figure(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> Figure
         degrees = np.degrees(oriented.theta[row])
         panel.set_title(f'{labels.class_ids[row]} {labels.ids[row]}, {degrees:.0f}°')
     handles = [
-        Patch(facecolor=_HULL, label='hull'),
+        patches.Patch(facecolor=_HULL, label='hull'),
         Line2D([], [], color='black', ls=_DASHES, label='oriented box'),
         *(Line2D([], [], color=color_of(name), label=name) for name in boxes),
     ]
@@ -279,9 +277,9 @@ def _draw_ships(
     for row in rows:
         hull = labels.hulls[row]
         if hull is not None:
-            axes.add_patch(Polygon(hull, facecolor=_HULL, edgecolor='none'))
+            axes.add_patch(patches.Polygon(hull, facecolor=_HULL, edgecolor='none'))
         axes.add_patch(
-            Polygon(labels.corners[row], fill=False, edgecolor='black', lw=1.0, ls=_DASHES)
+            patches.Polygon(labels.corners[row], fill=False, edgecolor='black', lw=1.0, ls=_DASHES)
         )
         for width, (name, xyxy) in zip(widths, boxes.items(), strict=True):
             _add_box(axes, xyxy[row], color_of(name), width)

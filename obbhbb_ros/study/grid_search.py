@@ -31,14 +31,7 @@ _HALVINGS = 40
 
 @dataclass(frozen=True)
 class Grid:
-    """
-    Settings to try.
-
-    Attributes
-    ----------
-    q, f, s : tuple of float
-        Candidate values; all combinations are tried.
-    """
+    """Candidate values of q, f and s; a search tries all combinations."""
 
     q: tuple[float, ...]
     f: tuple[float, ...]

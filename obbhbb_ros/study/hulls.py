@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from types import MappingProxyType
 
 import numpy as np
@@ -127,13 +128,12 @@ def synthetic_ships(
     theta = _angles(angles, count, seed)
     long_axis = np.stack((np.cos(theta), np.sin(theta))) * (LENGTH / 2.0)
     short_axis = np.stack((-np.sin(theta), np.cos(theta))) * (LENGTH / 2.0 / aspect)
-    names, hulls = [], []
-    for index, (family, full) in enumerate((a, b) for a in families for b in fullness):
-        rows = slice(index * aspects * angles, (index + 1) * aspects * angles)
+    names, outlines = [], []
+    for family, full in product(families, fullness):
         names += [class_name(family.name, full)] * (aspects * angles)
-        axes = np.stack((long_axis[:, rows], short_axis[:, rows]))
-        placed = np.einsum('ka,axn->nkx', family.outline(full), axes)
-        hulls += list(placed + center[:, rows].T[:, None, :])
+        outlines += [family.outline(full)] * (aspects * angles)
+    axes = np.stack((long_axis, short_axis)).transpose(2, 0, 1)
+    hulls = [each @ turn + c for each, turn, c in zip(outlines, axes, center.T, strict=True)]
     return Ships(
         boxes=OrientedBoxes(center, long_axis, short_axis, np.zeros(count, np.uint8)),
         reference=np.array([bounds(hull) for hull in hulls]),

@@ -165,19 +165,5 @@ def iou(xyxy: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def hull_inside(xyxy: FloatArray, hulls: Sequence[FloatArray]) -> FloatArray:
-    """
-    Measure the part of each hull inside its box.
-
-    Parameters
-    ----------
-    xyxy : ndarray, shape (N, 4)
-        Boxes, pixels.
-    hulls : sequence of ndarray, each of shape (K, 2)
-        N hull polygons, pixels.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Square pixels.
-    """
+    """Compute the area of each hull, (K, 2), inside its box, (4,), in square pixels, (N,)."""
     return _shared_area(np.array([shapely.polygons(hull) for hull in hulls], object), xyxy)
