@@ -44,11 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Whoever read the output, `head` for one, has seen enough.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return _BY_SIGNAL + signal.SIGPIPE
-    except ImportError as error:
-        print(f'obbhbb: {error}; see the extras in the README', file=sys.stderr)
-        return 1
-    except (OSError, ValueError) as error:
-        print(f'obbhbb: {error}', file=sys.stderr)
+    except (ImportError, OSError, ValueError) as error:
+        advice = '; see the extras in the README' if isinstance(error, ImportError) else ''
+        print(f'obbhbb: {error}{advice}', file=sys.stderr)
         return 1
     return code
 

@@ -300,7 +300,7 @@ def bootstrap_intervals(
     Bound means over the same ships by drawing whole images with replacement.
 
     Ships in one image resemble each other; drawing single ships would make the intervals too
-    narrow.
+    narrow. The draws are the same for all means.
 
     Parameters
     ----------
@@ -309,12 +309,7 @@ def bootstrap_intervals(
     images : ndarray of int, shape (N,)
         Image of each ship.
     samples, seed : int
-        Number of draws, the same for all means, and their seed; without draws the ends are NaN.
-
-    Returns
-    -------
-    list of Interval
-        The 2.5th and the 97.5th percentile of each mean.
+        Number of draws and their seed; without draws the intervals are NaN.
     """
     if not samples:
         return [Interval(np.nan, np.nan)] * len(values)

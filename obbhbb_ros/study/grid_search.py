@@ -195,15 +195,11 @@ class Point(NamedTuple):
         """Shape exponent."""
         return 1.0 / (1.0 - self.u) if self.u < 1.0 else float('inf')
 
-    def moved(self, axis: int, step: float) -> Point:
-        """Move along one coordinate, within the bounds."""
-        values = list(self)
-        values[axis] = min(max(values[axis] + step, _LOWEST[axis]), _HIGHEST[axis])
-        return Point(*values)
-
 
 _LOWEST = Point(0.0, 0.05, 0.05)
 _HIGHEST = Point(1.0, F_RANGE[1], S_RANGE[1])
+# Up and down along each coordinate.
+_DIRECTIONS = np.kron(np.eye(3), [[1.0], [-1.0]])
 
 
 def refine(point: Point, value: Callable[[Point], tuple[float, ...]]) -> Point:
@@ -217,12 +213,11 @@ def refine(point: Point, value: Callable[[Point], tuple[float, ...]]) -> Point:
     step = _FIRST_STEP
     while step >= _LAST_STEP:
         moved = False
-        for axis in range(3):
-            for sign in (1.0, -1.0):
-                other = point.moved(axis, sign * step)
-                found = value(other)
-                if found > best:
-                    point, best, moved = other, found, True
+        for direction in _DIRECTIONS:
+            other = Point(*np.clip(point + step * direction, _LOWEST, _HIGHEST).tolist())
+            found = value(other)
+            if found > best:
+                point, best, moved = other, found, True
         if not moved:
             step /= 2.0
     return point

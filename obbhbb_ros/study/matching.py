@@ -84,16 +84,14 @@ def match_references(
         for index in rows:
             matched[index] = found[owners == index]
         pools[name] = np.delete(pools[name], other, axis=0)
+    pairs = list(zip(images, matched, strict=True))
     unmatched = tuple(
         (image.image, int(row))
-        for image, reference in zip(images, matched, strict=True)
+        for image, reference in pairs
         for row in np.flatnonzero(np.isnan(reference[:, 0]))
     )
     return Matching(
-        images=tuple(
-            replace(image, reference=reference)
-            for image, reference in zip(images, matched, strict=True)
-        ),
+        images=tuple(replace(image, reference=reference) for image, reference in pairs),
         matched=sum(map(len, matched)) - len(unmatched),
         unmatched_boxes=unmatched,
         unmatched_references=tuple((name, row) for name, pool in pools.items() for row in pool),

@@ -17,7 +17,7 @@ def yaml_text(
     rule: HullRule, rule_of_class: Mapping[str, HullRule], notes: Sequence[str] = ()
 ) -> str:
     """
-    Write rules as a parameter file of the node.
+    Write rules as YAML for `--params-file`, for a node of any name in any namespace.
 
     Parameters
     ----------
@@ -27,11 +27,6 @@ def yaml_text(
         By class.
     notes : sequence of str
         Comments for the top of the file.
-
-    Returns
-    -------
-    str
-        YAML for `--params-file`, for a node of any name in any namespace.
 
     Raises
     ------

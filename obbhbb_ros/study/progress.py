@@ -11,17 +11,15 @@ from typing import TypeVar
 Item = TypeVar('Item')
 
 
-def track(
-    items: Iterable[Item], label: str, total: int | None = None, unit: str = ' images'
-) -> Iterator[Item]:
-    """Yield items, and show on stderr what is done to how many of them."""
+def track(items: Iterable[Item], label: str, total: int | None = None) -> Iterator[Item]:
+    """Yield images, and show on stderr what is done to how many of them."""
     if sys.stderr.isatty():
         try:
             from tqdm import tqdm
         except ModuleNotFoundError:
             pass
         else:
-            items = tqdm(items, desc=label, total=total, unit=unit, leave=False)
+            items = tqdm(items, desc=label, total=total, unit=' images', leave=False)
     yield from items
 
 

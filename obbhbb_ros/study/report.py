@@ -36,7 +36,7 @@ _FOLDS = 5
 
 def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -> str:
     """
-    Write the page for some ships.
+    Write the page for some ships, as HTML.
 
     Parameters
     ----------
@@ -49,11 +49,6 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
         Number of ships to draw, those with the smallest IoU of `superellipse` first.
     seed : int
         Seed of bootstrap samples, splits and synthetic hulls.
-
-    Returns
-    -------
-    str
-        The HTML.
 
     Raises
     ------
