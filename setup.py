@@ -19,7 +19,7 @@ ROS = [
     # rclpy needs a middleware and does not ask for one.
     'ros-jazzy-rmw-fastrtps-cpp',
 ]
-PLOTS = ['matplotlib>=3.6']
+PLOTS = ['matplotlib>=3.6', 'jinja2>=3.0']
 IMAGES = ['pillow>=9.0']
 # What the benchmarks measure against.
 PEERS = ['supervision>=0.27']
@@ -35,7 +35,7 @@ setup(
     long_description_content_type='text/markdown',
     license=MANIFEST.findtext('license'),
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
-    package_data={PACKAGE: ['py.typed', 'data/*']},
+    package_data={PACKAGE: ['py.typed', 'data/*'], f'{PACKAGE}.study': ['templates/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),

@@ -62,7 +62,7 @@ class HullRule:
 
 
 PAPER_RULE = HullRule('shape_aware', q=2.2, f=0.9, s=1.0)
-"""The published rule with the parameters that the paper found best."""
+"""The published rule with the paper's best-found parameters, "Best mixing parameters"."""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,6 @@ from obbhbb_ros.labels.formats import detect_format
 from obbhbb_ros.labels.formats import read_labels
 from obbhbb_ros.labels.formats import write_boxes
 from obbhbb_ros.labels.formats import write_labels
-from obbhbb_ros.labels.matching import Matching
-from obbhbb_ros.labels.matching import match_references
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
@@ -26,10 +24,8 @@ __all__ = [
     'ImageBoxes',
     'ImageLabels',
     'LabelError',
-    'Matching',
     'OnError',
     'detect_format',
-    'match_references',
     'read_labels',
     'write_boxes',
     'write_labels',

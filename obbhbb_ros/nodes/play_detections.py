@@ -32,6 +32,8 @@ from vision_msgs.msg import Detection2DArray
 from vision_msgs.msg import ObjectHypothesisWithPose
 
 from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.data import HARBOUR
+from obbhbb_ros.data import HARBOUR_SIZE
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
@@ -46,8 +48,6 @@ from obbhbb_ros.settings import Parameter
 from obbhbb_ros.settings import ParameterTable
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
-HARBOUR = 'harbour.csv'
-HARBOUR_SIZE = (1024, 768)
 _POLL_PERIOD = 0.1
 _QUIET_POLLS = 3
 

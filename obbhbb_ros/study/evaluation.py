@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All methods side by side: figures by protocol, by tilt, by aspect ratio, by class."""
+"""Score methods side by side: all ships, bands of tilt and aspect ratio, classes."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from dataclasses import asdict
 from dataclasses import dataclass
 from dataclasses import fields
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,39 +22,29 @@ from numpy.typing import NDArray
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_by_rule
-from obbhbb_ros.converter import half_extents
-from obbhbb_ros.converter import to_xyxy
 from obbhbb_ros.files import write_text
-from obbhbb_ros.methods import METHODS
-from obbhbb_ros.study.metrics import PROTOCOLS
-from obbhbb_ros.study.metrics import Overlap
-from obbhbb_ros.study.metrics import area
-from obbhbb_ros.study.metrics import overlap_with_hbb
-from obbhbb_ros.study.metrics import overlap_with_obb
+from obbhbb_ros.study import metrics
+from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.ships import Ships
-from obbhbb_ros.study.summary import text_table
-
-# The paper's best-found parameters (Table "Best mixing parameters").
-PAPER_RULE = HullRule('shape_aware', q=2.2, f=0.9, s=1.0)
-DEFAULT_RULES: MappingProxyType[str, HullRule] = MappingProxyType(
-    {name: PAPER_RULE if name == 'shape_aware' else HullRule(name) for name in METHODS}
-)
 
 ALL = 'all'
-TILT_BANDS = ((0.0, 15.0), (15.0, 30.0), (30.0, 45.0))
-ASPECT_BANDS = ((1.0, 3.0), (3.0, 5.0), (5.0, 7.0), (7.0, np.inf))
+# A ship belongs to a band from its lower end to below its upper one; tilt is 45° at most.
+TILT_BANDS = {'tilt 0-15°': (0.0, 15.0), 'tilt 15-30°': (15.0, 30.0), 'tilt 30-45°': (30.0, np.inf)}
+ASPECT_BANDS = {
+    'L/W 1-3': (1.0, 3.0), 'L/W 3-5': (3.0, 5.0), 'L/W 5-7': (5.0, 7.0), 'L/W >= 7': (7.0, np.inf)
+}
 TILTED = 10.0
-_CONFIDENCE = 0.95
-# Draws at a time, to bound the memory of many images.
+_TAIL = (1.0 - 0.95) / 2.0
+# Draws at a time, to limit the memory for many images.
 _BATCH = 50
 
 
 @dataclass(frozen=True)
 class Score:
     """
-    How one method does on some ships under one protocol.
+    Figures of one method on some ships under one protocol.
 
-    All but `ships` and `images` are means over the ships, so that each ship counts the same.
+    All but `ships` and `images` are means over the ships; each ship counts the same.
 
     Attributes
     ----------
@@ -65,17 +55,17 @@ class Score:
     method, q, f, s
         The rule.
     ships, images : int
-        How many, and in how many images.
+        Number of ships and of their images.
     iou, iou_low, iou_high : float
-        Mean IoU and its 95 % bootstrap interval, images drawn with replacement; NaN without.
+        Mean IoU and its 95 % bootstrap interval; NaN without bootstrap.
     match : float
         Share of ships with an IoU of at least the threshold (Match50 at 0.5).
     overshoot, undershoot, average_error, area_error : float
-        As in `obbhbb_ros.study.metrics.Overlap`; the last is Eq. relerr.
+        See `obbhbb_ros.study.metrics.Overlap`; the last is Eq. relerr.
     coverage : float
-        Mean part of the reference that is kept.
+        Mean share of the reference inside the box.
     kept : float
-        Share of ships that keep at least the asked part of their reference.
+        Share of ships with at least the required coverage.
     area : float
         Mean area relative to the outer box of the same ship.
     """
@@ -104,23 +94,21 @@ class Score:
 @dataclass(frozen=True)
 class Settings:
     """
-    What an evaluation counts by.
+    Settings of an evaluation.
 
     Attributes
     ----------
     threshold : float
         IoU from which a box matches, in (0, 1].
     keep : float
-        Part of the reference that a ship has to keep, in (0, 1].
-    bootstrap : int
-        Samples of the images for the confidence intervals; 0 for none.
-    seed : int
-        Seed of the samples.
+        Share of the reference that a box has to keep, in (0, 1].
+    bootstrap, seed : int
+        Bootstrap samples for the confidence intervals, 0 for none, and their seed.
 
     Raises
     ------
     ValueError
-        If one of them is out of range; the message names it.
+        If a value is out of range; the message names it.
     """
 
     threshold: float = 0.5
@@ -140,113 +128,45 @@ class Settings:
 DEFAULT_SETTINGS = Settings()
 
 
-def choose_rules(
-    methods: Sequence[str] | None = None,
-    q: float | None = None,
-    f: float | None = None,
-    s: float | None = None,
-) -> dict[str, HullRule]:
-    """
-    Give methods their rules.
+class Interval(NamedTuple):
+    """A 95 % confidence interval."""
 
-    Parameters
-    ----------
-    methods : sequence of str, optional
-        Keys of `METHODS`; all by default.
-    q, f, s : float, optional
-        For the tunable methods, instead of their own: the package's defaults for `superellipse`,
-        the paper's best-found for `shape_aware`.
-
-    Returns
-    -------
-    dict of str to HullRule
-        By method.
-
-    Raises
-    ------
-    ValueError
-        If there is no such method or a parameter is out of range.
-    """
-    unknown = [name for name in methods or () if name not in METHODS]
-    if unknown:
-        raise ValueError(f'no method {unknown[0]!r}; there are {", ".join(METHODS)}')
-    rules = {}
-    for name in methods or METHODS:
-        own = DEFAULT_RULES[name]
-        rules[name] = HullRule(
-            name,
-            own.q if q is None else q,
-            own.f if f is None else f,
-            own.s if s is None else s,
-        ) if METHODS[name].tunable else own
-    return rules
-
-
-def convert_by_class(
-    ships: Ships, rule: HullRule, rule_of_class: Mapping[str, HullRule]
-) -> FloatArray:
-    """
-    Convert ships as the node does, some classes under rules of their own.
-
-    Parameters
-    ----------
-    ships : Ships
-        N ships.
-    rule : HullRule
-        For every class that has none of its own.
-    rule_of_class : mapping of str to HullRule
-        By class.
-
-    Returns
-    -------
-    ndarray, shape (N, 4)
-        Boxes, pixels.
-    """
-    rule_of = np.zeros(len(ships), dtype=np.intp)
-    for index, class_id in enumerate(rule_of_class, start=1):
-        rule_of[ships.class_ids == class_id] = index
-    extents = half_extents(ships.boxes, [rule, *rule_of_class.values()], rule_of)
-    return to_xyxy(ships.boxes.center, extents)
+    low: float
+    high: float
 
 
 def strata(ships: Ships) -> dict[str, NDArray[np.bool_]]:
     """
-    Sort ships into bands of tilt and aspect ratio, and by class.
-
-    Parameters
-    ----------
-    ships : Ships
-        N ships.
+    Sort ships into bands of tilt and aspect ratio, and by class if there are several classes.
 
     Returns
     -------
     dict of str to ndarray of bool, shape (N,)
-        Who is in which; those without ships are left out. Classes only where there are several.
+        Members of each stratum that has any.
     """
-    tilt, aspect = ships.tilt, ships.aspect
-    found = {ALL: np.ones(len(ships), dtype=bool)}
-    for low, high in TILT_BANDS:
-        # The last band has its upper end.
-        found[tilt_band(low, high)] = (tilt >= low) & ((tilt < high) | (high == 45.0))
-    found[f'tilt > {TILTED:g}°'] = tilt > TILTED
-    for low, high in ASPECT_BANDS:
-        name = f'L/W {low:g}-{high:g}' if np.isfinite(high) else f'L/W >= {low:g}'
-        found[name] = (aspect >= low) & (aspect < high)
+    found = {
+        ALL: np.ones(len(ships), dtype=bool),
+        **in_bands(ships.tilt, TILT_BANDS),
+        f'tilt > {TILTED:g}°': ships.tilt > TILTED,
+        **in_bands(ships.aspect, ASPECT_BANDS),
+    }
     classes = np.unique(ships.class_ids).tolist()
     if len(classes) > 1:
         found |= {f'class {each}': ships.class_ids == each for each in classes}
     return {name: rows for name, rows in found.items() if rows.any()}
 
 
-def tilt_band(low: float, high: float) -> str:
-    """Name a band of tilt."""
-    return f'tilt {low:g}-{high:g}°'
+def in_bands(
+    values: FloatArray, bands: Mapping[str, tuple[float, float]]
+) -> dict[str, NDArray[np.bool_]]:
+    """Find the members of each band, (N,), among N values."""
+    return {name: (values >= low) & (values < high) for name, (low, high) in bands.items()}
 
 
 def evaluate(
     ships: Ships,
     rules: Mapping[str, HullRule] = DEFAULT_RULES,
-    protocols: Sequence[str] = tuple(PROTOCOLS),
+    protocols: Sequence[str] = tuple(metrics.PROTOCOLS),
     settings: Settings = DEFAULT_SETTINGS,
 ) -> list[Score]:
     """
@@ -257,11 +177,11 @@ def evaluate(
     ships : Ships
         The ships. Those without a reference box are left out of the protocol `hbb`.
     rules : mapping of str to HullRule
-        By the name to call them.
+        The rules by name.
     protocols : sequence of str
         Keys of `PROTOCOLS`.
     settings : Settings
-        What to count by.
+        Threshold, required coverage and bootstrap samples.
 
     Returns
     -------
@@ -271,47 +191,53 @@ def evaluate(
     Raises
     ------
     ValueError
-        If there is no such protocol, or no ship has the reference box it asks for.
+        If a protocol is unknown, or no ship has the reference box it needs.
+
+    Examples
+    --------
+    >>> from obbhbb_ros.study.hulls import synthetic_ships
+    >>> ships = synthetic_ships(aspects=2, angles=9, seed=None)
+    >>> scores = evaluate(ships, protocols=['hbb'])
+    >>> {score.method: round(score.iou, 2) for score in scores[:3]}
+    {'superellipse': 0.89, 'shape_aware': 0.8, 'outer': 0.81}
     """
     scores: list[Score] = []
     for protocol in protocols:
         chosen = ships_for(ships, protocol)
-        tables = {
+        found = {
             name: figures(chosen, convert_by_rule(chosen.boxes, rule), protocol, settings)
             for name, rule in rules.items()
         }
         for stratum, rows in strata(chosen).items():
             images = chosen.image_of[rows]
-            overlaps = np.stack([table[0, rows] for table in tables.values()])
-            ends = bootstrap_intervals(overlaps, images, settings.bootstrap, settings.seed)
-            scores += [
-                _score((protocol, stratum, name), rules[name], table[:, rows], images, interval)
-                for (name, table), interval in zip(tables.items(), ends.T, strict=True)
-            ]
+            intervals = bootstrap_intervals(
+                [each['iou'][rows] for each in found.values()], images,
+                settings.bootstrap, settings.seed,
+            )
+            for (name, rule), (low, high) in zip(rules.items(), intervals, strict=True):
+                means = {key: float(value[rows].mean()) for key, value in found[name].items()}
+                scores.append(Score(
+                    protocol=protocol, stratum=stratum, method=name, q=rule.q, f=rule.f, s=rule.s,
+                    ships=len(images), images=len(np.unique(images)),
+                    iou_low=low, iou_high=high, **means,
+                ))
     return scores
 
 
-def overlap(ships: Ships, xyxy: FloatArray, protocol: str) -> Overlap:
-    """
-    Lay boxes beside what a protocol compares them with.
+def nested(scores: Iterable[Score]) -> dict[str, dict[str, dict[str, Score]]]:
+    """Arrange scores by protocol, stratum and method, in their order."""
+    found: dict[str, dict[str, dict[str, Score]]] = {}
+    for score in scores:
+        by_stratum = found.setdefault(score.protocol, {})
+        by_stratum.setdefault(score.stratum, {})[score.method] = score
+    return found
 
-    Parameters
-    ----------
-    ships : Ships
-        N ships.
-    xyxy : ndarray, shape (N, 4)
-        Boxes, pixels.
-    protocol : str
-        A key of `PROTOCOLS`.
 
-    Returns
-    -------
-    Overlap
-        NaN for a ship without reference, under the protocol `hbb`.
-    """
+def overlap(ships: Ships, xyxy: FloatArray, protocol: str) -> metrics.Overlap:
+    """Compare N boxes, (N, 4), with the reference that a protocol prescribes."""
     if protocol == 'obb':
-        return overlap_with_obb(xyxy, ships.boxes)
-    return overlap_with_hbb(xyxy, ships.reference)
+        return metrics.overlap_with_obb(xyxy, ships.boxes)
+    return metrics.overlap_with_hbb(xyxy, ships.reference)
 
 
 def ships_for(ships: Ships, protocol: str) -> Ships:
@@ -323,132 +249,73 @@ def ships_for(ships: Ships, protocol: str) -> Ships:
     ships : Ships
         Ships.
     protocol : str
-        A key of `PROTOCOLS`.
-
-    Returns
-    -------
-    Ships
-        Those with a reference box, or all for the protocol `obb`.
+        `obb` for all, `hbb` for those with a reference box.
 
     Raises
     ------
     ValueError
-        If there is no such protocol, or no ship it can score.
+        If the protocol is unknown, or there is no such ship.
     """
-    if protocol not in PROTOCOLS:
-        raise ValueError(f'protocol must be one of {", ".join(PROTOCOLS)}, not {protocol!r}')
+    if protocol not in metrics.PROTOCOLS:
+        known = ', '.join(metrics.PROTOCOLS)
+        raise ValueError(f'protocol must be one of {known}, not {protocol!r}')
     if protocol == 'obb':
         return ships
     if not ships.with_reference.any():
         raise ValueError(
-            'no ship has a reference box: give labels that hold them, or their file as reference'
+            'no ship has a reference box: give labels that contain them, or a reference file'
         )
     return ships.take(ships.with_reference)
 
 
-FIGURES = (
-    'iou', 'match', 'overshoot', 'undershoot', 'average_error', 'area_error', 'coverage', 'kept',
-    'area',
-)
-
-
 def figures(
     ships: Ships, xyxy: FloatArray, protocol: str, settings: Settings = DEFAULT_SETTINGS
-) -> FloatArray:
+) -> dict[str, FloatArray]:
     """
-    Compute every figure of every ship.
-
-    Parameters
-    ----------
-    ships : Ships
-        N ships.
-    xyxy : ndarray, shape (N, 4)
-        Their boxes, pixels.
-    protocol : str
-        A key of `PROTOCOLS`.
-    settings : Settings
-        What to count by.
+    Compute all figures of N ships and their boxes, (N, 4), under a protocol.
 
     Returns
     -------
-    ndarray, shape (9, N)
-        Rows in the order of `FIGURES`, which are attributes of `Score`.
+    dict of str to ndarray, shape (N,)
+        The figures under the names that their means have in `Score`.
     """
     found = overlap(ships, xyxy, protocol)
-    outer_area = area(convert_by_rule(ships.boxes, HullRule('outer')))
-    return np.stack((
-        found.iou, found.match(settings.threshold), found.overshoot, found.undershoot,
-        found.average_error, found.relative_error, found.coverage,
-        found.coverage >= settings.keep, found.predicted / outer_area,
-    ))
-
-
-def _score(
-    names: tuple[str, str, str], rule: HullRule, table: FloatArray, images: NDArray[np.intp],
-    interval: FloatArray,
-) -> Score:
-    """Average the figures of some ships."""
-    protocol, stratum, method = names
-    means = dict(zip(FIGURES, table.mean(axis=1).tolist(), strict=True))
-    return Score(
-        protocol=protocol, stratum=stratum, method=method, q=rule.q, f=rule.f, s=rule.s,
-        ships=table.shape[1], images=len(np.unique(images)),
-        iou_low=float(interval[0]), iou_high=float(interval[1]), **means,
-    )
-
-
-def bootstrap_interval(
-    values: FloatArray, images: NDArray[np.intp], samples: int = 1000, seed: int = 0
-) -> tuple[float, float]:
-    """
-    Bound a mean over ships by drawing whole images with replacement.
-
-    Ships of one image resemble each other; drawing ships one by one would make the interval too
-    narrow.
-
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-        One value a ship.
-    images : ndarray of int, shape (N,)
-        The image of each ship.
-    samples : int
-        How many draws; 0 gives NaN.
-    seed : int
-        Seed of the draws.
-
-    Returns
-    -------
-    tuple of float
-        The 2.5th and the 97.5th percentile of the mean.
-    """
-    (low,), (high,) = bootstrap_intervals(values[None], images, samples, seed)
-    return float(low), float(high)
+    return {
+        'iou': found.iou,
+        'match': found.match(settings.threshold).astype(float),
+        'overshoot': found.overshoot,
+        'undershoot': found.undershoot,
+        'average_error': found.average_error,
+        'area_error': found.relative_error,
+        'coverage': found.coverage,
+        'kept': (found.coverage >= settings.keep).astype(float),
+        'area': found.predicted / metrics.area(convert_by_rule(ships.boxes, HullRule('outer'))),
+    }
 
 
 def bootstrap_intervals(
-    values: FloatArray, images: NDArray[np.intp], samples: int = 1000, seed: int = 0
-) -> FloatArray:
+    values: Sequence[FloatArray], images: NDArray[np.intp], samples: int = 1000, seed: int = 0
+) -> list[Interval]:
     """
-    Bound several means over the same ships, as `bootstrap_interval` does one.
+    Bound means over the same ships by drawing whole images with replacement.
+
+    Ships in one image resemble each other; drawing single ships would make the intervals too
+    narrow. The draws are the same for all means.
 
     Parameters
     ----------
-    values : ndarray, shape (K, N)
-        K values a ship.
-    images, samples, seed
-        As in `bootstrap_interval`; the draws are the same for all K.
-
-    Returns
-    -------
-    ndarray, shape (2, K)
-        Lower and upper ends.
+    values : sequence of ndarray, each of shape (N,)
+        One value per ship, for each mean.
+    images : ndarray of int, shape (N,)
+        Image of each ship.
+    samples, seed : int
+        Number of draws and their seed; without draws the intervals are NaN.
     """
     if not samples:
-        return np.full((2, len(values)), np.nan)
+        return [Interval(np.nan, np.nan)] * len(values)
     _, index = np.unique(images, return_inverse=True)
     counts = np.bincount(index).astype(float)
-    sums = np.stack([np.bincount(index, weights=row) for row in values], axis=1)
+    sums = np.stack([np.bincount(index, weights=each) for each in values], axis=1)
     random = np.random.default_rng(seed)
     means = []
     for start in range(0, samples, _BATCH):
@@ -459,109 +326,19 @@ def bootstrap_intervals(
         times = np.bincount((drawn + offset).ravel(), minlength=drawn.size)
         weights = times.reshape(drawn.shape).astype(float)
         means.append(weights @ sums / (weights @ counts)[:, None])
-    tail = (1.0 - _CONFIDENCE) / 2.0
-    return np.asarray(np.quantile(np.concatenate(means), (tail, 1.0 - tail), axis=0))
-
-
-def score_tables(scores: Sequence[Score], settings: Settings = DEFAULT_SETTINGS) -> str:
-    """
-    Write scores as tables for the terminal, the protocol above each.
-
-    Parameters
-    ----------
-    scores : sequence of Score
-        What `evaluate` gives.
-    settings : Settings
-        What it was given.
-
-    Returns
-    -------
-    str
-        For each protocol all figures over all ships, then mean IoU by stratum.
-    """
-    return '\n\n'.join(
-        f'{title}\n{text_table(head, rows)}'
-        for title, head, rows in score_rows(scores, settings)
-    )
-
-
-def score_rows(
-    scores: Sequence[Score], settings: Settings = DEFAULT_SETTINGS
-) -> list[tuple[str, list[str], list[list[str]]]]:
-    """
-    Lay scores out as tables of text.
-
-    Parameters
-    ----------
-    scores : sequence of Score
-        What `evaluate` gives.
-    settings : Settings
-        What it was given.
-
-    Returns
-    -------
-    list of (title, head, rows)
-        Two a protocol.
-    """
-    tables = []
-    for protocol in dict.fromkeys(score.protocol for score in scores):
-        mine = [score for score in scores if score.protocol == protocol]
-        overall = [score for score in mine if score.stratum == ALL]
-        title = (
-            f'protocol {protocol}: {PROTOCOLS[protocol]}, '
-            f'{overall[0].ships} ships in {overall[0].images} images'
-        )
-        head = [
-            'method', 'q / f / s', 'mean IoU', '95 % interval',
-            f'match{settings.threshold * 100:g}', 'overshoot', 'undershoot', 'avg. error',
-            'area error', 'coverage', f'keep {settings.keep:.0%}', 'area/outer',
-        ]
-        tables.append((title, head, [_row(score) for score in overall]))
-        tables.append((f'mean IoU by stratum, {title}', *_stratum_rows(mine)))
-    return tables
-
-
-def _row(score: Score) -> list[str]:
-    """Write the figures of one method."""
-    tunable = METHODS[score.method].tunable if score.method in METHODS else True
-    return [
-        score.method,
-        f'{score.q:.4g} / {score.f:.4g} / {score.s:.4g}' if tunable else '',
-        f'{score.iou:.4f}',
-        '' if np.isnan(score.iou_low) else f'{score.iou_low:.3f}-{score.iou_high:.3f}',
-        f'{score.match:.4f}', f'{score.overshoot:.4f}', f'{score.undershoot:.4f}',
-        f'{score.average_error:.4f}', f'{score.area_error:.4f}', f'{score.coverage:.4f}',
-        f'{score.kept:.1%}', f'{score.area:.4f}',
-    ]
-
-
-def _stratum_rows(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:
-    """Write mean IoU, a row a stratum and a column a method."""
-    methods = list(dict.fromkeys(score.method for score in scores))
-    rows = []
-    for stratum in dict.fromkeys(score.stratum for score in scores):
-        mine = {score.method: score for score in scores if score.stratum == stratum}
-        ships = str(next(iter(mine.values())).ships)
-        rows.append([stratum, ships, *(f'{mine[name].iou:.4f}' for name in methods)])
-    return ['stratum', 'ships', *methods], rows
+    ends = np.quantile(np.concatenate(means), (_TAIL, 1.0 - _TAIL), axis=0)
+    return [Interval(low, high) for low, high in ends.T.tolist()]
 
 
 def write_json(path: Path, scores: Iterable[Score], settings: Settings) -> None:
     """
-    Write scores as JSON: the settings, what the protocols mean, a list of scores.
+    Write the settings, the meaning of the protocols and the scores of `evaluate` as JSON.
 
-    Parameters
-    ----------
-    path : Path
-        File to write. What is not a finite number becomes null, infinity the text "inf".
-    scores : iterable of Score
-        What `evaluate` gives.
-    settings : Settings
-        What it was given.
+    NaN is written as null, infinity as the text "inf".
     """
     document = {
         'settings': asdict(settings),
-        'protocols': PROTOCOLS,
+        'protocols': metrics.PROTOCOLS,
         'scores': [{k: _plain(v) for k, v in asdict(score).items()} for score in scores],
     }
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
@@ -569,23 +346,14 @@ def write_json(path: Path, scores: Iterable[Score], settings: Settings) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Give what JSON can hold."""
+    """Replace a number that JSON cannot hold."""
     if isinstance(value, float) and not np.isfinite(value):
         return 'inf' if value > 0 else None
     return value
 
 
 def write_csv(path: Path, scores: Iterable[Score]) -> None:
-    """
-    Write scores as CSV, one a row, columns named as the attributes of `Score`.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    scores : iterable of Score
-        What `evaluate` gives.
-    """
+    """Write the scores of `evaluate` as CSV, columns named as the attributes of `Score`."""
     file = io.StringIO()
     writer = csv.DictWriter(file, [field.name for field in fields(Score)], lineterminator='\n')
     writer.writeheader()

@@ -2,7 +2,7 @@
 """
 The synthetic harbour that the package carries.
 
-`python -m obbhbb_ros.study.harbour FILE` writes it; a test holds the carried file equal. No
+`python -m obbhbb_ros.study.harbour FILE` writes it; a test compares the carried file with it. No
 pixel of it is real: ships of random size lie at anchor or side by side at piers, and their hulls
 are one outline stretched to each ship.
 """
@@ -17,10 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.data import HARBOUR
+from obbhbb_ros.data import HARBOUR_SIZE
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import write_labels
+from obbhbb_ros.study.metrics import bounds
 
-SIZE = (1024, 768)
 SEED = 20260622
 _PIERS = ((170.0, 330.0, 0.35), (520.0, 560.0, -0.9), (820.0, 250.0, 1.25))
 _BERTHS = 5
@@ -57,15 +59,7 @@ def outline(points: int = 12) -> FloatArray:
     """
     Draw a merchant hull in the unit box: rounded stern, parallel sides, pointed bow.
 
-    Parameters
-    ----------
-    points : int
-        Vertices on each side of the bow.
-
-    Returns
-    -------
-    ndarray, shape (2 * points + 5, 2)
-        Vertices in order, touching all four sides of [-1, 1]^2.
+    The vertices, (2 * points + 5, 2), are in order and touch all four sides of [-1, 1]^2.
     """
     t = np.linspace(0.0, 1.0, points)
     # The sides run parallel over two thirds of the length, then close on a parabola.
@@ -90,28 +84,20 @@ def ships() -> list[Ship]:
 
 
 def harbour() -> ImageLabels:
-    """
-    Label the harbour.
-
-    Returns
-    -------
-    ImageLabels
-        Oriented boxes, hull polygons and, as reference, the bounds of each hull, pixels.
-    """
+    """Label the harbour: oriented boxes, hulls and, as reference, the bounds of each hull."""
     fleet = ships()
     box = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     hulls = tuple(ship.place(outline()) for ship in fleet)
-    bounds = [np.concatenate((hull.min(axis=0), hull.max(axis=0))) for hull in hulls]
     return ImageLabels(
         image='harbour',
         corners=np.stack([ship.place(box) for ship in fleet]),
         class_ids=tuple(ship.class_id for ship in fleet),
         ids=tuple(str(i) for i in range(len(fleet))),
         scores=np.ones(len(fleet)),
-        reference=np.array(bounds),
+        reference=bounds(np.array(hulls)),
         hulls=hulls,
-        size=SIZE,
-        source=Path('harbour.csv'),
+        size=HARBOUR_SIZE,
+        source=Path(HARBOUR),
     )
 
 
@@ -137,11 +123,8 @@ def _at_anchor(random: np.random.Generator) -> Ship:
     low, high = {'tug': (22.0, 40.0), 'cargo': (60.0, 120.0), 'tanker': (100.0, 170.0)}[class_id]
     length = random.uniform(low, high)
     width = length / random.uniform(*((2.2, 3.2) if class_id == 'tug' else (5.0, 8.0)))
-    margin = 0.55 * length
-    return Ship(
-        random.uniform(margin, SIZE[0] - margin), random.uniform(margin, SIZE[1] - margin),
-        length, width, random.uniform(-np.pi, np.pi), class_id,
-    )
+    x, y = (random.uniform(0.55 * length, side - 0.55 * length) for side in HARBOUR_SIZE)
+    return Ship(x, y, length, width, random.uniform(-np.pi, np.pi), class_id)
 
 
 if __name__ == '__main__':

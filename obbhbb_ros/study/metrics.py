@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-How good a box is: overlap with a reference, and what of a hull it holds.
+How good a box is: its overlap with a reference, and the part of a hull inside it.
 
-The paper scores boxes in two ways that answer different questions, and here they are kept apart
-by name. Protocol `obb` compares an axis-aligned box with the *oriented* box it was made from (its
+The paper scores boxes in two ways that answer different questions; here they are kept apart by
+name. Protocol `obb` compares an axis-aligned box with the *oriented* box it was made from (its
 ShipRSImageNet table; then `outer` is 1 minus its overshoot, and the tightest box wins even if it
 cuts the ship). Protocol `hbb` compares it with a separately drawn axis-aligned box (its Sentinel-2
 table): the box that a user wants.
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
@@ -30,7 +31,7 @@ PROTOCOLS = {
 @dataclass(frozen=True, eq=False)
 class Overlap:
     """
-    N boxes beside their references: the three areas that every figure follows from.
+    The three areas, of N boxes and their references, that every figure follows from.
 
     Build one with `overlap_with_hbb` or `overlap_with_obb`.
 
@@ -75,13 +76,13 @@ class Overlap:
         return self.shared / self.reference
 
     def match(self, threshold: float = 0.5) -> NDArray[np.bool_]:
-        """Tell which boxes reach an IoU of at least `threshold` (Match50 at 0.5), shape (N,)."""
+        """Find the boxes with an IoU of at least `threshold` (Match50 at 0.5), shape (N,)."""
         return self.iou >= threshold
 
 
 def overlap_with_hbb(xyxy: FloatArray, reference: FloatArray) -> Overlap:
     """
-    Lay boxes beside axis-aligned references.
+    Compare boxes with axis-aligned references.
 
     Parameters
     ----------
@@ -93,12 +94,14 @@ def overlap_with_hbb(xyxy: FloatArray, reference: FloatArray) -> Overlap:
     Overlap
         NaN where either row is.
     """
-    return Overlap(_shared(xyxy, reference), area(xyxy), area(reference))
+    low = np.maximum(xyxy[:, :2], reference[:, :2])
+    high = np.minimum(xyxy[:, 2:], reference[:, 2:])
+    return Overlap(area(np.hstack((low, high))), area(xyxy), area(reference))
 
 
 def overlap_with_obb(xyxy: FloatArray, boxes: OrientedBoxes) -> Overlap:
     """
-    Lay axis-aligned boxes beside oriented ones.
+    Compare axis-aligned boxes with oriented ones.
 
     Parameters
     ----------
@@ -112,77 +115,31 @@ def overlap_with_obb(xyxy: FloatArray, boxes: OrientedBoxes) -> Overlap:
     Overlap
         NaN where either row is.
     """
-    return Overlap(shared_with_obb(xyxy, boxes), area(xyxy), boxes.length * boxes.width)
+    # Coordinates relative to the centre keep their digits.
+    center = boxes.center.T
+    corners, local = boxes.corners - center[:, None], xyxy - np.tile(center, 2)
+    known = np.isfinite(local).all(axis=1) & np.isfinite(corners).all(axis=(1, 2))
+    shared = np.full(len(xyxy), np.nan)
+    shared[known] = _shared_area(shapely.polygons(corners[known]), local[known])
+    return Overlap(shared, area(xyxy), boxes.length * boxes.width)
 
 
-def shared_with_obb(xyxy: FloatArray, boxes: OrientedBoxes) -> FloatArray:
-    """
-    Compute the area that axis-aligned and oriented boxes share.
-
-    The height of the intersection over x is linear between the corners of either box and the
-    points where their edges cross, so its value in the middle of each piece times the width of
-    the piece is exact. Unlike clipping edge by edge, no edge has to be told inside from outside,
-    which rounding makes a gamble where edges coincide.
-
-    Parameters
-    ----------
-    xyxy : ndarray, shape (N, 4)
-        Boxes, pixels.
-    boxes : OrientedBoxes
-        N oriented boxes.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Square pixels; NaN where either row is.
-    """
-    # Coordinates relative to the oriented box's centre keep the digits.
-    left, top, right, bottom = (xyxy - np.tile(boxes.center, (2, 1)).T).T
-    u, v = boxes.long_axis, boxes.short_axis
-    # The oriented box is where |n . p| <= h, for n across the long and across the short edge.
-    normals = np.stack(((-u[1], u[0]), (-v[1], v[0])))
-    reach = np.abs(u[0] * v[1] - u[1] * v[0])
-    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        cuts = [u[0] + v[0], u[0] - v[0], v[0] - u[0], -u[0] - v[0]]
-        for y in (top, bottom):
-            for n_x, n_y in normals:
-                cuts += [(reach - n_y * y) / n_x, (-reach - n_y * y) / n_x]
-        # An edge that runs level with the box's crosses it nowhere: NaN, or beyond its sides.
-        inner = np.nan_to_num(np.stack(cuts), nan=0.0, posinf=np.inf, neginf=-np.inf)
-        edges = np.sort(np.clip(np.stack((left, *inner, right)), left, right), axis=0)
-        middle = (edges[1:] + edges[:-1]) / 2.0
-        high, low = np.broadcast_to(bottom, middle.shape), np.broadcast_to(top, middle.shape)
-        for n_x, n_y in normals:
-            a, b = (-reach - n_x * middle) / n_y, (reach - n_x * middle) / n_y
-            high = np.fmin(high, np.maximum(a, b))
-            low = np.fmax(low, np.minimum(a, b))
-    height = np.maximum(high - low, 0.0)
-    return np.sum(height * np.diff(edges, axis=0), axis=0)
-
-
-def _shared(xyxy: FloatArray, reference: FloatArray) -> FloatArray:
-    """Compute the area that axis-aligned boxes share in pairs, (N,)."""
-    low = np.maximum(xyxy[:, :2], reference[:, :2])
-    high = np.minimum(xyxy[:, 2:], reference[:, 2:])
-    return area(np.hstack((low, high)))
+def _shared_area(polygons: Any, xyxy: FloatArray) -> FloatArray:
+    """Compute the area that polygons and boxes share in pairs, (N,)."""
+    # Older releases of shapely warn where nothing is shared.
+    with np.errstate(invalid='ignore'):
+        return np.asarray(shapely.area(shapely.intersection(polygons, shapely.box(*xyxy.T))))
 
 
 def area(xyxy: FloatArray) -> FloatArray:
-    """
-    Compute areas.
-
-    Parameters
-    ----------
-    xyxy : ndarray, shape (N, 4)
-        Boxes, pixels.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Square pixels; 0 for a box turned inside out, NaN for a NaN row.
-    """
+    """Compute the areas of boxes, (N, 4), in square pixels; 0 where a box is inside out."""
     sides = np.maximum(xyxy[:, 2:] - xyxy[:, :2], 0.0)
     return sides[:, 0] * sides[:, 1]
+
+
+def bounds(points: FloatArray) -> FloatArray:
+    """Find the axis-aligned bounds of corners or vertices, (..., K, 2), as xyxy, (..., 4)."""
+    return np.concatenate((points.min(axis=-2), points.max(axis=-2)), axis=-1)
 
 
 def iou(xyxy: FloatArray, reference: FloatArray) -> FloatArray:
@@ -198,46 +155,15 @@ def iou(xyxy: FloatArray, reference: FloatArray) -> FloatArray:
     -------
     ndarray, shape (N,)
         In [0, 1]; NaN where either row is.
+
+    Examples
+    --------
+    >>> iou(np.array([[0.0, 0.0, 4.0, 4.0]]), np.array([[0.0, 2.0, 4.0, 10.0]]))
+    array([0.2])
     """
     return overlap_with_hbb(xyxy, reference).iou
 
 
 def hull_inside(xyxy: FloatArray, hulls: Sequence[FloatArray]) -> FloatArray:
-    """
-    Measure what of each hull lies in its box.
-
-    Parameters
-    ----------
-    xyxy : ndarray, shape (N, 4)
-        Boxes, pixels.
-    hulls : sequence of ndarray, each of shape (K, 2)
-        N hull polygons, pixels.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Square pixels.
-    """
-    polygons = np.array([shapely.polygons(hull) for hull in hulls], dtype=object)
-    return np.asarray(shapely.area(shapely.intersection(polygons, shapely.box(*xyxy.T))))
-
-
-def background_removed(xyxy: FloatArray, outer: FloatArray, hulls: Sequence[FloatArray]) -> float:
-    """
-    Compare the background in boxes with that in outer boxes.
-
-    Parameters
-    ----------
-    xyxy, outer : ndarray, shape (N, 4)
-        Boxes and outer boxes of the same ships, pixels.
-    hulls : sequence of ndarray, each of shape (K, 2)
-        Their hull polygons, pixels.
-
-    Returns
-    -------
-    float
-        Share of the outer boxes' background, summed over the ships, that is gone.
-    """
-    left = np.sum(area(xyxy) - hull_inside(xyxy, hulls))
-    before = np.sum(area(outer) - hull_inside(outer, hulls))
-    return float(1.0 - left / before)
+    """Compute the area of each hull, (K, 2), inside its box, (4,), in square pixels, (N,)."""
+    return _shared_area(np.array([shapely.polygons(hull) for hull in hulls], object), xyxy)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress on the terminal, where there is one."""
+"""Progress on the terminal, if there is one and tqdm (extra `progress`) is installed."""
 
 from __future__ import annotations
 
@@ -11,37 +11,15 @@ from typing import TypeVar
 Item = TypeVar('Item')
 
 
-def track(
-    items: Iterable[Item], label: str, total: int | None = None, unit: str = ' images'
-) -> Iterator[Item]:
-    """
-    Pass items on, with a progress bar on stderr.
-
-    The bar is there only if stderr is a terminal and tqdm (extra `progress`) is installed.
-
-    Parameters
-    ----------
-    items : iterable
-        Any items.
-    label : str
-        What is being done.
-    total : int, optional
-        How many items there are, where known.
-    unit : str
-        What they are.
-
-    Yields
-    ------
-    item
-        Each of them.
-    """
+def track(items: Iterable[Item], label: str, total: int | None = None) -> Iterator[Item]:
+    """Yield images, and show on stderr what is done to how many of them."""
     if sys.stderr.isatty():
         try:
             from tqdm import tqdm
         except ModuleNotFoundError:
             pass
         else:
-            items = tqdm(items, desc=label, total=total, unit=unit, leave=False)
+            items = tqdm(items, desc=label, total=total, unit=' images', leave=False)
     yield from items
 
 

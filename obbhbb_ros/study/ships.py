@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ships to measure on: the labels of many images as one set of arrays."""
+"""The labels of many images as one set of arrays."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,32 +17,32 @@ from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import OnError
-from obbhbb_ros.labels import match_references
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.study.matching import match_references
 from obbhbb_ros.study.progress import track
 
 
 @dataclass(frozen=True, eq=False)
 class Ships:
     """
-    N oriented boxes with what is known of the ships in them.
+    N oriented boxes, and what is known of the ships in them.
 
     Attributes
     ----------
     boxes : OrientedBoxes
         The oriented boxes, all of them valid.
     reference : ndarray, shape (N, 4)
-        Axis-aligned boxes that a conversion should find, xyxy, pixels; NaN rows where none.
+        Axis-aligned boxes that a conversion should find, xyxy, pixels; NaN rows if unknown.
     class_ids : ndarray of str, shape (N,)
         Classes.
     image_of : ndarray of int, shape (N,)
         Index of each ship's image, counted from 0 without gaps.
     names : tuple of str
-        What to call each ship: image and id.
+        Image and id of each ship.
     hulls : tuple of (ndarray or None)
         Hull polygons, each of shape (K, 2), pixels.
     skipped : int
-        Boxes that were left out because they cannot be converted.
+        Number of boxes that were left out because they cannot be converted.
     """
 
     boxes: OrientedBoxes
@@ -55,22 +56,10 @@ class Ships:
     @classmethod
     def from_labels(cls, images: Iterable[ImageLabels]) -> Ships:
         """
-        Join the labels of images; images of the same name become one.
+        Join the labels of images; images with the same name become one.
 
-        Parameters
-        ----------
-        images : iterable of ImageLabels
-            The labels.
-
-        Returns
-        -------
-        Ships
-            Their ships, those left out that have no area or are not finite.
-
-        Raises
-        ------
-        ValueError
-            If no ship is left.
+        Boxes without area or with numbers that are not finite are left out. Raises ValueError if
+        no ship remains.
         """
         labels = list(images)
         image_of = [each.image for each in labels for _ in each.class_ids]
@@ -97,22 +86,9 @@ class Ships:
 
     def take(self, rows: Any) -> Ships:
         """
-        Select ships.
+        Select ships by any NumPy index of N rows; their images are numbered anew.
 
-        Parameters
-        ----------
-        rows : ndarray of int or ndarray of bool
-            What NumPy takes as an index of N rows.
-
-        Returns
-        -------
-        Ships
-            Those ships; their images are numbered anew.
-
-        Raises
-        ------
-        ValueError
-            If none is selected.
+        Raises ValueError if none is selected.
         """
         chosen = np.arange(len(self))[rows]
         if not chosen.size:
@@ -129,7 +105,7 @@ class Ships:
 
     @property
     def image_count(self) -> int:
-        """How many images hold the ships."""
+        """Number of images."""
         return int(self.image_of.max()) + 1
 
     @property
@@ -173,37 +149,30 @@ def read_ships(
     format : str, optional
         Format of `paths`; by default it is detected.
     reference : path-like, optional
-        Labels that hold the reference boxes, matched by image and best overlap, see
-        `obbhbb_ros.labels.match_references`. By default each ship keeps the one beside it.
+        Labels with the reference boxes, matched by image and best overlap, see
+        `obbhbb_ros.study.matching.match_references`. By default those in `paths`.
     image_size : tuple of int, optional
         Width and height of every image, pixels, for normalised formats.
     on_error : callable, optional
-        Gets each malformed record; by default the first one is raised.
-
-    Returns
-    -------
-    Ships
-        All ships.
+        Receives each malformed record; by default the first one is raised.
 
     Raises
     ------
     ValueError
-        If there is none, or a record is malformed and there is no `on_error`.
+        If there are no ships, or a record is malformed and there is no `on_error`.
     """
-    images = tuple(
-        labels
-        for path in paths
-        for labels in track(
-            read_labels(path, format, image_size=image_size, on_error=on_error), f'reading {path}'
-        )
-    )
+
+    def read(path: str | os.PathLike[str], name: str | None = None) -> Iterator[ImageLabels]:
+        labels = read_labels(path, name, image_size=image_size, on_error=on_error)
+        return track(labels, f'reading {path}')
+
+    images = tuple(labels for path in paths for labels in read(path, format))
     if reference is not None:
-        others = read_labels(reference, image_size=image_size, on_error=on_error)
-        images = match_references(images, track(others, f'reading {reference}')).images
+        images = match_references(images, read(reference)).images
     return Ships.from_labels(images)
 
 
 def _numbered(names: Sequence[Any]) -> NDArray[np.intp]:
-    """Give each name its number, from 0 in the order of first appearance."""
+    """Give each name a number, from 0 in the order of first appearance."""
     number: dict[Any, int] = {}
     return np.array([number.setdefault(name, len(number)) for name in names], dtype=np.intp)

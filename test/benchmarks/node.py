@@ -25,7 +25,7 @@ from vision_msgs.msg import Detection2D
 from vision_msgs.msg import Detection2DArray
 from vision_msgs.msg import ObjectHypothesisWithPose
 
-from obbhbb_ros.study.summary import text_table
+from obbhbb_ros.study.tables import text_table
 
 HERE = Path(__file__).parent
 TICKS = os.sysconf('SC_CLK_TCK')

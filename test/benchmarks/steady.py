@@ -17,7 +17,7 @@ from node import Asked
 from node import message
 from rclpy.executors import SingleThreadedExecutor
 
-from obbhbb_ros.study.summary import text_table
+from obbhbb_ros.study.tables import text_table
 
 HEAD = ('node', 'CPU [ms/message]', 'times echo', 'resident [MB]')
 

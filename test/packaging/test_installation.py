@@ -39,7 +39,9 @@ def test_a_wheel_holds_code_data_and_ros_resources(source, tmp_path) -> None:
     (wheel,) = tmp_path.glob('*.whl')
     names = zipfile.ZipFile(wheel).namelist()
     assert all(any(name.endswith(f'/data/share/{path}') for name in names) for path in SHARE)
-    for path in ('py.typed', 'data/harbour.csv', 'nodes/obb_to_hbb.py', 'labels/dota.py'):
+    files = ['data/harbour.csv', 'labels/dota.py', 'nodes/obb_to_hbb.py', 'py.typed',
+             'study/templates/report.html']
+    for path in files:
         assert f'obbhbb_ros/{path}' in names
     assert not any(name.startswith('test') for name in names)
 

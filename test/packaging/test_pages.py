@@ -20,6 +20,7 @@ import pytest
 import yaml
 
 from obbhbb_ros import cli
+from obbhbb_ros import commands
 from obbhbb_ros.boxes import Defect
 from obbhbb_ros.downlink.budget import Dropped
 from obbhbb_ros.downlink.crops import LeftOut
@@ -31,7 +32,7 @@ ROOT = Path(__file__).parents[2]
 README = ROOT / 'README.md'
 DOC = sorted((ROOT / 'doc').glob('*.md'))
 PAGES = [README, ROOT / 'CONTRIBUTING.md', ROOT / 'QUALITY_DECLARATION.md', *DOC]
-PARSER = cli._parser()
+PARSER = commands.command_line()
 SUBCOMMANDS = next(
     action.choices for action in PARSER._actions if isinstance(action, argparse._SubParsersAction)
 )

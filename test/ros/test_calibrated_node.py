@@ -20,9 +20,9 @@ from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.nodes.demo import xyxy_of
 from obbhbb_ros.nodes.play_detections import detections_message
-from obbhbb_ros.study.evaluation import convert_by_class
 from obbhbb_ros.study.harbour import harbour
-from obbhbb_ros.study.outcome import yaml_text
+from obbhbb_ros.study.parameter_file import yaml_text
+from obbhbb_ros.study.rules import convert_by_class
 from obbhbb_ros.study.ships import Ships
 
 PATIENCE = 30.0

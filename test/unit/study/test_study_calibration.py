@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibration: Algorithm 2, refinement, folds by image, and what coverage guarantees."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from fleets import REAL
@@ -12,21 +14,19 @@ from hypothesis import strategies as st
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_by_rule
-from obbhbb_ros.study.calibration import GRIDS
-from obbhbb_ros.study.calibration import Bench
-from obbhbb_ros.study.calibration import Grid
 from obbhbb_ros.study.calibration import Plan
-from obbhbb_ros.study.calibration import aspect_groups
 from obbhbb_ros.study.calibration import calibrate
-from obbhbb_ros.study.calibration import class_groups
 from obbhbb_ros.study.calibration import conformal_rank
 from obbhbb_ros.study.calibration import enough
 from obbhbb_ros.study.calibration import folds_of
-from obbhbb_ros.study.calibration import held_out_boxes
-from obbhbb_ros.study.calibration import one_rule
-from obbhbb_ros.study.calibration import rule_by_group
-from obbhbb_ros.study.calibration import search
 from obbhbb_ros.study.calibration import split
+from obbhbb_ros.study.cross_validation import aspect_groups
+from obbhbb_ros.study.cross_validation import class_groups
+from obbhbb_ros.study.cross_validation import held_out_boxes
+from obbhbb_ros.study.grid_search import GRIDS
+from obbhbb_ros.study.grid_search import Bench
+from obbhbb_ros.study.grid_search import Grid
+from obbhbb_ros.study.grid_search import search
 from obbhbb_ros.study.hulls import synthetic_ships
 from obbhbb_ros.study.metrics import iou
 from obbhbb_ros.study.metrics import overlap_with_hbb
@@ -62,7 +62,7 @@ def kept(ships, rule, part):
 
 
 def test_the_papers_grid_has_120_settings() -> None:
-    assert GRIDS['paper'].size == 120
+    assert np.prod(GRIDS['paper'].shape) == 120
 
 
 @pytest.mark.parametrize('method', ['superellipse', 'shape_aware'])
@@ -277,21 +277,26 @@ def test_folds_that_cannot_be_filled_are_refused(real, folds) -> None:
 
 
 def test_a_ship_is_converted_by_what_was_learnt_from_other_images() -> None:
-    # Each image has a scale of its own: its own references never help it.
     ships = made_by(HullRule(), 60, per_image=20)
-    seen = []
+    plan, seen = Plan(grid=SMALL, refine=False), []
 
-    def fit(known, new):
-        seen.append((set(known.names), set(new.names)))
-        return convert_by_rule(new.boxes, HullRule())
+    def ungrouped(known, new):
+        if new is not known:
+            seen.append((known, new))
+        return np.full(len(new), -1)
 
-    xyxy = held_out_boxes(ships, fit, folds=3)
-    np.testing.assert_array_equal(xyxy, convert_by_rule(ships.boxes, HullRule()))
-    assert all(not known & new and len(known | new) == 60 for known, new in seen)
+    xyxy = held_out_boxes(ships, plan, folds=3, grouping=ungrouped)
+    assert len(seen) == 3
+    for known, new in seen:
+        assert not set(known.names) & set(new.names)
+        assert len(known) + len(new) == 60
+        rows = [ships.names.index(name) for name in new.names]
+        expected = convert_by_rule(new.boxes, calibrate(known, plan))
+        np.testing.assert_array_equal(xyxy[rows], expected)
 
 
 def test_held_out_figures_of_real_ships_beat_the_papers_setting(real) -> None:
-    xyxy = held_out_boxes(real, one_rule(Plan()), folds=4)
+    xyxy = held_out_boxes(real, Plan(), folds=4)
     # 0.82121 with the paper's rule and numbers, see test_study_evaluation.
     assert iou(xyxy, real.reference).mean() > 0.91
 
@@ -307,8 +312,9 @@ def test_classes_of_different_hulls_gain_by_rules_of_their_own() -> None:
         np.concatenate((slim.reference, full.reference)),
         ['yacht'] * 80 + ['barge'] * 80, range(160),
     )
-    shared = held_out_boxes(both, one_rule(Plan()), 2)
-    own = held_out_boxes(both, rule_by_group(Plan(), class_groups(['yacht', 'barge'])), 2)
+    shared = held_out_boxes(both, Plan(), 2)
+    by_class = partial(class_groups, ['yacht', 'barge'])
+    own = held_out_boxes(both, Plan(), 2, grouping=by_class)
     assert iou(own, both.reference).mean() > 0.99
     assert iou(shared, both.reference).mean() < 0.95
 
@@ -316,9 +322,8 @@ def test_classes_of_different_hulls_gain_by_rules_of_their_own() -> None:
 def test_bands_of_aspect_are_cut_where_the_known_ships_are() -> None:
     rows = [[0, 0, 10 * aspect, 10, 0.2] for aspect in (2, 3, 4, 5, 6, 7)]
     known, new = fleet(rows), fleet([[0, 0, 20, 10, 0], [0, 0, 900, 10, 0], [0, 0, 46, 10, 0]])
-    of_known, of_new = aspect_groups(3)(known, new)
-    assert of_known.tolist() == [0, 0, 1, 1, 2, 2]
-    assert of_new.tolist() == [0, 2, 1]
+    assert aspect_groups(known, known).tolist() == [0, 0, 1, 1, 2, 2]
+    assert aspect_groups(known, new).tolist() == [0, 2, 1]
 
 
 @pytest.mark.parametrize(

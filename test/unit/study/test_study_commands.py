@@ -14,10 +14,9 @@ from fleets import labels
 from obbhbb_ros import convert
 from obbhbb_ros.cli import main
 from obbhbb_ros.labels import write_labels
+from obbhbb_ros.study.__main__ import main as print_comparison
 from obbhbb_ros.study.harbour import harbour
-from obbhbb_ros.study.hulls import main as print_comparison
 from obbhbb_ros.study.metrics import iou
-from obbhbb_ros.study.report import report_page
 from obbhbb_ros.study.ships import Ships
 from obbhbb_ros.study.ships import read_ships
 
@@ -180,16 +179,16 @@ def test_report_writes_one_page_that_fetches_nothing(tmp_path, capsys) -> None:
 
 
 def test_the_gallery_begins_with_the_worst_ship() -> None:
-    pytest.importorskip('matplotlib')
+    report = pytest.importorskip('obbhbb_ros.study.report')
     ships = read_ships([REAL])
     overlap = iou(convert(ships.boxes), ships.reference)
-    cards = re.findall(r'<p><b>([^<]+)</b>', report_page(ships, 'real', gallery=5))
+    cards = re.findall(r'<p><b>([^<]+)</b>', report.report_page(ships, 'real', gallery=5))
     assert cards == [ships.names[row] for row in np.argsort(overlap)[:5]]
 
 
 def test_a_report_of_ships_without_reference_has_no_calibration_on_them() -> None:
-    pytest.importorskip('matplotlib')
-    text = report_page(Ships.from_labels([labels('a', [[0, 0, 20, 10]])]), '<b>', gallery=3)
+    report = pytest.importorskip('obbhbb_ros.study.report')
+    text = report.report_page(Ships.from_labels([labels('a', [[0, 0, 20, 10]])]), '<b>', gallery=3)
     assert 'Calibration on these ships' not in text
     assert 'protocol hbb:' not in text
     assert '&lt;b&gt;' in text
@@ -197,8 +196,8 @@ def test_a_report_of_ships_without_reference_has_no_calibration_on_them() -> Non
 
 
 def test_a_report_draws_hulls_where_the_labels_have_them() -> None:
-    pytest.importorskip('matplotlib')
-    text = report_page(Ships.from_labels([harbour()]), 'harbour', gallery=4)
+    report = pytest.importorskip('obbhbb_ros.study.report')
+    text = report.report_page(Ships.from_labels([harbour()]), 'harbour', gallery=4)
     assert text.count('class="hull"') == 4
     assert 'class tug' in text
 

@@ -16,15 +16,15 @@ from obbhbb_ros.converter import convert_by_rule
 from obbhbb_ros.methods import METHODS
 from obbhbb_ros.study.evaluation import ALL
 from obbhbb_ros.study.evaluation import Settings
-from obbhbb_ros.study.evaluation import bootstrap_interval
-from obbhbb_ros.study.evaluation import choose_rules
-from obbhbb_ros.study.evaluation import convert_by_class
+from obbhbb_ros.study.evaluation import bootstrap_intervals
 from obbhbb_ros.study.evaluation import evaluate
-from obbhbb_ros.study.evaluation import score_tables
 from obbhbb_ros.study.evaluation import strata
 from obbhbb_ros.study.evaluation import write_csv
 from obbhbb_ros.study.evaluation import write_json
+from obbhbb_ros.study.rules import choose_rules
+from obbhbb_ros.study.rules import convert_by_class
 from obbhbb_ros.study.ships import read_ships
+from obbhbb_ros.study.tables import score_tables
 
 FAST = Settings(bootstrap=0)
 
@@ -148,16 +148,16 @@ def test_settings_out_of_range_are_refused(values) -> None:
 @given(st.lists(st.tuples(st.floats(0, 1), st.integers(0, 5)), min_size=1, max_size=30))
 def test_an_interval_lies_within_the_values_and_depends_on_the_seed_alone(pairs) -> None:
     values, images = (np.array(column) for column in zip(*pairs, strict=True))
-    low, high = bootstrap_interval(values, images, samples=30, seed=3)
+    ((low, high),) = bootstrap_intervals([values], images, samples=30, seed=3)
     assert values.min() - 1e-12 <= low <= high <= values.max() + 1e-12
-    assert bootstrap_interval(values, images, samples=30, seed=3) == (low, high)
+    assert bootstrap_intervals([values], images, samples=30, seed=3) == [(low, high)]
 
 
 def test_images_are_drawn_as_a_whole() -> None:
     # Ten ships each of two images: by ship the mean would hardly move, by image it is 0, .5 or 1.
     values = np.repeat([0.0, 1.0], 10)
-    assert bootstrap_interval(values, values.astype(int), samples=200) == (0.0, 1.0)
-    low, high = bootstrap_interval(values, np.arange(20), samples=200)
+    assert bootstrap_intervals([values], values.astype(int), samples=200) == [(0.0, 1.0)]
+    ((low, high),) = bootstrap_intervals([values], np.arange(20), samples=200)
     assert 0.2 < low < 0.5 < high < 0.8
 
 

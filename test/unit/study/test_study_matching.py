@@ -3,31 +3,29 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from fleets import labels
 from hypothesis import given
 from hypothesis import strategies as st
 
-from obbhbb_ros.labels import match_references
-from obbhbb_ros.labels.matching import match_boxes
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.shapes import upright_corners
-
-if TYPE_CHECKING:
-    from conftest import Make
+from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.study.matching import match_boxes
+from obbhbb_ros.study.matching import match_references
 
 
-def _box(*xyxy: float) -> Box:
-    return Box(upright_corners(xyxy), 'ship', reference=xyxy)
+def make(image: str, *xyxy: tuple[float, ...]) -> ImageLabels:
+    """Label an image with upright boxes whose reference is the box itself."""
+    return labels(image, xyxy, np.array(xyxy, float))
 
 
-def test_boxes_take_the_reference_of_the_same_image(make: Make) -> None:
-    boxes = [make('b', _box(0, 0, 10, 4)), make('a', _box(0, 0, 10, 4), _box(20, 0, 30, 4))]
+def test_boxes_take_the_reference_of_the_same_image() -> None:
+    boxes = [make('b', (0, 0, 10, 4)), make('a', (0, 0, 10, 4), (20, 0, 30, 4))]
     references = [
-        make('train/a.png', _box(20, 0, 30, 5), _box(1, 0, 10, 4)),
-        make('b.JPG', _box(0, 0, 9, 4)),
+        make('train/a.png', (20, 0, 30, 5), (1, 0, 10, 4)),
+        make('b.JPG', (0, 0, 9, 4)),
     ]
     matching = match_references(boxes, references)
     assert [each.image for each in matching.images] == ['b', 'a']
@@ -37,9 +35,9 @@ def test_boxes_take_the_reference_of_the_same_image(make: Make) -> None:
     assert matching.unmatched_boxes == matching.unmatched_references == ()
 
 
-def test_what_finds_no_partner_is_returned(make: Make) -> None:
-    boxes = [make('a', _box(0, 0, 10, 4), _box(50, 50, 60, 60)), make('lone', _box(0, 0, 1, 1))]
-    references = [make('a', _box(0, 0, 10, 4), _box(90, 90, 99, 99)), make('c', _box(1, 1, 2, 2))]
+def test_what_finds_no_partner_is_returned() -> None:
+    boxes = [make('a', (0, 0, 10, 4), (50, 50, 60, 60)), make('lone', (0, 0, 1, 1))]
+    references = [make('a', (0, 0, 10, 4), (90, 90, 99, 99)), make('c', (1, 1, 2, 2))]
     matching = match_references(boxes, references)
     assert matching.matched == 1
     assert np.isnan(matching.images[0].reference).tolist() == [[False] * 4, [True] * 4]
@@ -49,50 +47,51 @@ def test_what_finds_no_partner_is_returned(make: Make) -> None:
     ]  # fmt: skip
 
 
-def test_the_best_pair_is_matched_first(make: Make) -> None:
-    boxes = [make('a', _box(0, 0, 10, 10), _box(2, 0, 12, 10))]
-    matching = match_references(boxes, [make('a', _box(2, 0, 12, 10))])
+def test_the_best_pair_is_matched_first() -> None:
+    boxes = [make('a', (0, 0, 10, 10), (2, 0, 12, 10))]
+    matching = match_references(boxes, [make('a', (2, 0, 12, 10))])
     assert np.isnan(matching.images[0].reference[:, 0]).tolist() == [True, False]
 
 
-def test_at_equal_overlap_the_earlier_goes_first(make: Make) -> None:
-    boxes = [make('a', _box(0, 0, 10, 10), _box(0, 0, 10, 10))]
-    references = [make('a', _box(0, 0, 10, 9), _box(0, 1, 10, 10))]
+def test_at_equal_overlap_the_earlier_goes_first() -> None:
+    boxes = [make('a', (0, 0, 10, 10), (0, 0, 10, 10))]
+    references = [make('a', (0, 0, 10, 9), (0, 1, 10, 10))]
     matching = match_references(boxes, references)
     assert matching.images[0].reference.tolist() == [[0, 0, 10, 9], [0, 1, 10, 10]]
 
 
 @pytest.mark.parametrize(('min_iou', 'matched'), [(0.5, 1), (0.51, 0)])
-def test_pairs_below_the_least_iou_are_none(make: Make, min_iou: float, matched: int) -> None:
-    boxes, references = [make('a', _box(0, 0, 10, 4))], [make('a', _box(0, 0, 5, 4))]
+def test_pairs_below_the_least_iou_are_none(min_iou: float, matched: int) -> None:
+    boxes, references = [make('a', (0, 0, 10, 4))], [make('a', (0, 0, 5, 4))]
     assert match_references(boxes, references, min_iou).matched == matched
 
 
-def test_a_tilted_box_is_compared_by_its_bounds(make: Make) -> None:
-    tilted = Box((0, 5, 5, 0, 10, 5, 5, 10), 'ship')
-    matching = match_references([make('a', tilted)], [make('a', _box(0, 0, 10, 10))], 1.0)
+def test_a_tilted_box_is_compared_by_its_bounds() -> None:
+    tilted = np.array([[[0.0, 5.0], [5.0, 0.0], [10.0, 5.0], [5.0, 10.0]]])
+    boxes = [replace(make('a', (0, 0, 10, 10)), corners=tilted)]
+    matching = match_references(boxes, [make('a', (0, 0, 10, 10))], 1.0)
     assert matching.matched == 1
 
 
-def test_a_source_may_name_an_image_more_than_once(make: Make) -> None:
-    boxes = [make('a', _box(0, 0, 10, 4)), make('a', _box(0, 0, 10, 4))]
-    matching = match_references(boxes, [make('a', _box(0, 0, 10, 4))])
+def test_a_source_may_name_an_image_more_than_once() -> None:
+    boxes = [make('a', (0, 0, 10, 4)), make('a', (0, 0, 10, 4))]
+    matching = match_references(boxes, [make('a', (0, 0, 10, 4))])
     assert matching.matched == 1
     assert matching.unmatched_boxes == (('a', 0),)
 
 
-def test_references_that_are_not_there_match_nothing(make: Make) -> None:
-    bare = Box(upright_corners((0, 0, 10, 4)), 'ship')
-    matching = match_references([make('a', _box(0, 0, 10, 4))], [make('a', bare)])
+def test_references_that_are_not_there_match_nothing() -> None:
+    bare = labels('a', (0, 0, 10, 4))
+    matching = match_references([make('a', (0, 0, 10, 4))], [bare])
     assert (matching.matched, matching.unmatched_references) == (0, ())
-    broken = Box((np.nan,) * 8, 'ship')
-    assert match_references([make('a', broken)], [make('a', _box(0, 0, 1, 1))]).matched == 0
+    broken = labels('a', (np.nan,) * 4)
+    assert match_references([broken], [make('a', (0, 0, 1, 1))]).matched == 0
     assert match_references([], []).images == ()
 
 
-def test_images_of_one_bare_name_are_refused(make: Make) -> None:
+def test_images_of_one_bare_name_are_refused() -> None:
     with pytest.raises(ValueError, match=r"'train/a\.png' and 'val/a\.png' cannot be told apart"):
-        match_references([], [make('train/a.png'), make('val/a.png')])
+        match_references([], [make(name, (0, 0, 9, 4)) for name in ('train/a.png', 'val/a.png')])
 
 
 @pytest.mark.parametrize('min_iou', [0.0, -1.0, 1.5, float('nan')])

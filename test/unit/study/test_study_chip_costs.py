@@ -16,10 +16,10 @@ from obbhbb_ros.labels import write_labels
 from obbhbb_ros.labels.images import find_images
 from obbhbb_ros.labels.images import load_image
 from obbhbb_ros.labels.images import opened_image
-from obbhbb_ros.study.chips import ENCODERS
-from obbhbb_ros.study.chips import RULES
-from obbhbb_ros.study.chips import chip_costs
-from obbhbb_ros.study.chips import render
+from obbhbb_ros.study.chip_costs import ENCODERS
+from obbhbb_ros.study.chip_costs import RULES
+from obbhbb_ros.study.chip_costs import chip_costs
+from obbhbb_ros.study.chip_costs import render
 from obbhbb_ros.study.harbour import harbour
 
 SMALL = np.arange(12, dtype=np.uint8).reshape(2, 2, 3)

@@ -10,15 +10,15 @@ from fleets import fleet
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_by_rule
-from obbhbb_ros.study.calibration import GRIDS
 from obbhbb_ros.study.calibration import Plan
 from obbhbb_ros.study.calibration import calibrate
-from obbhbb_ros.study.outcome import CALIBRATED
-from obbhbb_ros.study.outcome import Gain
-from obbhbb_ros.study.outcome import outcome_text
-from obbhbb_ros.study.outcome import run
-from obbhbb_ros.study.outcome import yaml_text
+from obbhbb_ros.study.cross_validation import CALIBRATED
+from obbhbb_ros.study.cross_validation import Gain
+from obbhbb_ros.study.cross_validation import run
+from obbhbb_ros.study.grid_search import GRIDS
+from obbhbb_ros.study.parameter_file import yaml_text
 from obbhbb_ros.study.ships import read_ships
+from obbhbb_ros.study.tables import outcome_text
 
 
 @pytest.fixture(scope='module')
@@ -51,9 +51,9 @@ def test_the_rule_is_that_of_all_ships_and_the_figures_are_held_out(real) -> Non
     assert outcome.rule == calibrate(real, Plan())
     fitted = convert_by_rule(real.boxes, outcome.rule)
     seen = np.mean(outcome_iou(fitted, real))
-    assert outcome.held_out[CALIBRATED][0].mean() < seen
-    assert outcome.held_out['paper'][0].mean() == pytest.approx(0.82121, abs=5e-5)
-    assert outcome.held_out['outer'][0].mean() == pytest.approx(0.80998, abs=5e-5)
+    assert outcome.held_out[CALIBRATED]['iou'].mean() < seen
+    assert outcome.held_out['paper']['iou'].mean() == pytest.approx(0.82121, abs=5e-5)
+    assert outcome.held_out['outer']['iou'].mean() == pytest.approx(0.80998, abs=5e-5)
 
 
 def outcome_iou(xyxy, ships):

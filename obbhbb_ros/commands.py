@@ -1,0 +1,342 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The commands of `obbhbb`: their options, and what each of them runs and prints."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import shlex
+import sys
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from typing import TypeAlias
+
+import numpy as np
+
+from obbhbb_ros import converter
+from obbhbb_ros import labels
+from obbhbb_ros.downlink.crops import CropSettings
+from obbhbb_ros.files import write_text
+from obbhbb_ros.labels import FORMATS
+from obbhbb_ros.labels import images
+from obbhbb_ros.labels.axis_aligned import convert_file
+from obbhbb_ros.methods import METHODS
+from obbhbb_ros.study import calibration
+from obbhbb_ros.study import chip_costs
+from obbhbb_ros.study import cross_validation
+from obbhbb_ros.study import evaluation
+from obbhbb_ros.study import rules
+from obbhbb_ros.study import tables
+from obbhbb_ros.study.grid_search import GRIDS
+from obbhbb_ros.study.harbour import harbour
+from obbhbb_ros.study.hulls import synthetic_ships
+from obbhbb_ros.study.metrics import PROTOCOLS
+from obbhbb_ros.study.parameter_file import yaml_text
+from obbhbb_ros.study.progress import note
+from obbhbb_ros.study.progress import track
+from obbhbb_ros.study.ships import Ships
+from obbhbb_ros.study.ships import read_ships
+
+PARAMETERS = {
+    'q': 'shape exponent, 1 to inf',
+    'f': f'fullness, above 0, up to {converter.F_RANGE[1]:g}',
+    's': f'shrink factor, above 0, up to {converter.S_RANGE[1]:g}',
+}
+_Options: TypeAlias = argparse.Namespace
+# The method `add_argument` of a parser.
+_Add: TypeAlias = Callable[..., Any]
+
+
+def command_line() -> argparse.ArgumentParser:
+    """Describe the commands and their options."""
+    parser = argparse.ArgumentParser(
+        prog='obbhbb', description='Convert oriented boxes to axis-aligned ones, offline.'
+    )
+    parsers = parser.add_subparsers(required=True, metavar='COMMAND', dest='command')
+    for name, (add_options, command) in COMMANDS.items():
+        add_options(parsers.add_parser(name, help=command.__doc__).add_argument)
+    return parser
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Parse a command line, without the program's name, and run it; return the exit code."""
+    options = command_line().parse_args(arguments, argparse.Namespace(given=list(arguments)))
+    _, command = COMMANDS[options.command]
+    return command(options)
+
+
+def _demo_options(add: _Add) -> None:
+    add('--picture', type=Path, default=Path('out/harbour.png'), help='default: %(default)s')
+
+
+def _demo(options: _Options) -> int:
+    """Convert a synthetic harbour with the real node; print a table and draw a picture."""
+    from obbhbb_ros.nodes.demo import boxes_by_method
+    from obbhbb_ros.study import drawing
+
+    ships = harbour()
+    boxes = boxes_by_method(ships)
+    print(f'{len(ships.class_ids)} ships of a synthetic harbour, converted by the node over DDS\n')
+    print(tables.scene_table(ships, boxes))
+    drawing.save(drawing.scene_figure(ships, boxes), options.picture, dpi=100)
+    print(f'\npicture: {options.picture}')
+    return 0
+
+
+def _convert_options(add: _Add) -> None:
+    rule = converter.HullRule()
+    written = [name for name, each in FORMATS.items() if each.write_boxes is not None]
+    add('source', metavar='IN', type=Path, help='label file or folder to read')
+    add('target', metavar='OUT', type=Path, help='file or folder to write')
+    add('--from', dest='source_format', metavar='FORMAT',
+        help=f'format of IN: {", ".join(FORMATS)}; default: detected')
+    add('--to', dest='target_format', metavar='FORMAT',
+        help=f'format of OUT: {", ".join(written)}; default: by the suffix of OUT')
+    add('--method', default=rule.method, help=f'{", ".join(METHODS)}; default: %(default)s')
+    _add_numbers(add, rule, PARAMETERS)
+    add('--max-length', type=float, help='maximum of the longer side, pixels')
+    add('--max-width', type=float, help='maximum of the shorter side, pixels')
+    add('--diagnostics', action='store_true',
+        help='also write length, width, theta, t_x, t_y and capped of each box')
+    add('--image-size', type=int, nargs=2, metavar=('W', 'H'),
+        help='size of every image, pixels; default: from labels or images')
+    add('--strict', action='store_true',
+        help='exit with 1 if any record was malformed or could not be converted')
+
+
+def _convert(options: _Options) -> int:
+    """Convert label files of oriented boxes to label files of axis-aligned boxes."""
+    # Conversion fills tables: looking through them for garbage takes a fifth of its time.
+    gc.disable()
+    try:
+        tally = convert_file(
+            options.source,
+            options.target,
+            converter.HullRule(options.method, options.q, options.f, options.s),
+            converter.Caps(options.max_length, options.max_width),
+            source_format=options.source_format,
+            target_format=options.target_format,
+            image_size=options.image_size,
+            diagnostics=options.diagnostics,
+            report=note,
+            progress=lambda images, total: track(images, 'converting', total),
+        )
+    finally:
+        gc.enable()
+    print(tally)
+    if not tally.readable:
+        print(f'obbhbb: nothing to convert in {options.source}', file=sys.stderr)
+        return 1
+    return 1 if options.strict and not tally.complete else 0
+
+
+def _evaluate_options(add: _Add) -> None:
+    _add_labels(add, '+')
+    add('--methods', nargs='+', metavar='METHOD', help=f'{", ".join(METHODS)}; default: all')
+    meanings = '; '.join(f'{name}: {meaning}' for name, meaning in PROTOCOLS.items())
+    add('--protocol', choices=(*PROTOCOLS, 'both'), default='both',
+        help=f'{meanings}; default: %(default)s')
+    for name, meaning in PARAMETERS.items():
+        add(f'--{name}', type=float,
+            help=f'{meaning}, of the tunable methods; default: that of each method')
+    _add_numbers(add, evaluation.DEFAULT_SETTINGS, {
+        'threshold': 'IoU from which a box matches',
+        'keep': 'share of the reference that a box has to keep to be counted',
+        'bootstrap': 'bootstrap samples for the confidence intervals, 0 for none',
+        'seed': 'seed of the samples',
+    })
+    add('--json', type=Path, help='JSON file to write the scores to')
+    add('--csv', type=Path, help='CSV file to write the scores to')
+    add('--plot', type=Path, help='picture file for a chart of mean IoU by angle (extra `plots`)')
+
+
+def _evaluate(options: _Options) -> int:
+    """Score methods on labelled ships, by angle, aspect ratio and class."""
+    settings = evaluation.Settings(
+        options.threshold, options.keep, options.bootstrap, options.seed
+    )
+    chosen = rules.choose_rules(options.methods, options.q, options.f, options.s)
+    ships = _read_ships(options)
+    protocols = tuple(PROTOCOLS) if options.protocol == 'both' else (options.protocol,)
+    if options.protocol == 'both' and not ships.with_reference.any():
+        print('no reference boxes: protocol obb only\n', file=sys.stderr)
+        protocols = ('obb',)
+    scores = evaluation.evaluate(ships, chosen, protocols, settings)
+    print(tables.score_tables(scores, settings))
+    if options.json:
+        evaluation.write_json(options.json, scores, settings)
+    if options.csv:
+        evaluation.write_csv(options.csv, scores)
+    if options.plot:
+        from obbhbb_ros.study import drawing
+
+        drawing.save(drawing.angle_figure(scores), options.plot)
+    return 0
+
+
+def _calibrate_options(add: _Add) -> None:
+    plan = calibration.DEFAULT_PLAN
+    _add_labels(add, '*')
+    add('--synthetic', action='store_true', help="the paper's synthetic hulls instead of labels")
+    add('--method', choices=rules.TUNABLE_METHODS, default=plan.method, help='default: %(default)s')
+    aims = '; '.join(f'{name}: {each.summary}' for name, each in calibration.OBJECTIVES.items())
+    add('--objective', choices=tuple(calibration.OBJECTIVES), default=plan.objective,
+        help=f'{aims}; default: %(default)s')
+    add('--grid', choices=tuple(GRIDS), default='paper', help='default: %(default)s')
+    add('--refine', action=argparse.BooleanOptionalAction, default=plan.refine,
+        help='refine the best setting of the grid (default); --no-refine is Algorithm 2')
+    _add_numbers(add, plan, {
+        'keep': 'objective coverage: share of its reference box that a ship has to keep',
+        'share': 'objective coverage: share of ships that have to keep it',
+        'seed': 'seed of all splits',
+    })
+    add('--exchangeable', choices=('ships', 'images'), default='ships',
+        help='objective coverage: what the guarantee takes as exchangeable; images if the ships '
+        'of an image resemble each other; default: %(default)s')
+    add('--folds', type=int, default=5,
+        help='folds of the cross-validation by image, 0 for none; default: %(default)s')
+    add('--per-class', action='store_true', help='try a rule for each class')
+    add('--by-aspect', action='store_true', help='try a rule for each band of aspect ratio')
+    add('-o', '--output', type=Path, help='parameter file to write')
+
+
+def _calibrate(options: _Options) -> int:
+    """Find q, f and s for labelled ships; write a parameter file for the node."""
+    if options.synthetic == bool(options.labels):
+        raise ValueError('give either label files or --synthetic')
+    if options.synthetic:
+        ships = synthetic_ships(seed=options.seed)
+    else:
+        ships = evaluation.ships_for(_read_ships(options), 'hbb')
+    by_image = options.exchangeable == 'images'
+    plan = calibration.Plan(
+        method=options.method,
+        objective=options.objective,
+        grid=GRIDS[options.grid],
+        refine=options.refine,
+        keep=options.keep,
+        share=options.share,
+        per_image=int(np.bincount(ships.image_of).max()) if by_image else 1,
+        seed=options.seed,
+    )
+    outcome = cross_validation.run(
+        ships, plan, options.folds,
+        per_class=options.per_class, by_aspect=options.by_aspect, seed=options.seed,
+    )
+    text = tables.outcome_text(outcome)
+    print(text)
+    if options.output:
+        notes = [f'Written by: obbhbb {shlex.join(options.given)}', *text.splitlines()]
+        # No detector calls its ships by the names of synthetic families.
+        own = {} if options.synthetic else outcome.rule_of_class
+        write_text(options.output, yaml_text(outcome.rule, own, notes))
+        print(f'\nwritten: {options.output}')
+    return 0
+
+
+def _report_options(add: _Add) -> None:
+    _add_labels(add, '+')
+    add('-o', '--output', type=Path, default=Path('out/report.html'), help='default: %(default)s')
+    add('--gallery', type=int, default=24, metavar='N',
+        help='maximum number of ships to draw, the worst first; default: %(default)s')
+    _add_numbers(add, evaluation.DEFAULT_SETTINGS, {'seed': 'seed of all samples'})
+
+
+def _report(options: _Options) -> int:
+    """Write tables, curves and a gallery of labelled ships to one HTML page."""
+    from obbhbb_ros.study.report import report_page
+
+    ships = _read_ships(options)
+    title = ', '.join(path.name for path in options.labels)
+    page = report_page(ships, title, gallery=options.gallery, seed=options.seed)
+    write_text(options.output, page)
+    print(f'written: {options.output}')
+    return 0
+
+
+def _chips_options(add: _Add) -> None:
+    add('labels', type=Path, nargs='?',
+        help='label file or folder with the images beside it; default: a synthetic harbour')
+    _add_numbers(add, CropSettings(), {'padding': 'fraction of the box to add on each side'})
+    add('--picture', type=Path, help='picture file for the first image and the costs')
+
+
+def _chips(options: _Options) -> int:
+    """Compare the chips of the methods: pixels, and bytes by codec."""
+    if options.labels is None:
+        what, source = 'a synthetic harbour, no pixel of it real', harbour()
+        pictures = [(source, chip_costs.render(source))]
+    else:
+        found = list(labels.read_labels(options.labels))
+        pictures = [
+            (each, np.atleast_3d(images.load_image(path)[1]))
+            for each, path in zip(found, images.find_images(found), strict=True)
+            if path is not None
+        ]
+        what = f'{options.labels}, {len(pictures)} of {len(found)} images found'
+    if not pictures:
+        raise ValueError(f'no image found for the labels in {options.labels}')
+    costs = chip_costs.chip_costs(pictures, CropSettings(padding=options.padding))
+    print(f'chips of {what}; in brackets the difference to outer\n')
+    print(tables.cost_table(costs))
+    if options.picture:
+        from obbhbb_ros.study import drawing
+
+        drawing.save(drawing.cost_figure(costs, *pictures[0], what), options.picture, dpi=75)
+        print(f'\npicture: {options.picture}')
+    return 0
+
+
+# The first line of what runs a command is its line of help.
+COMMANDS: dict[str, tuple[Callable[[_Add], None], Callable[[_Options], int]]] = {
+    'demo': (_demo_options, _demo),
+    'convert': (_convert_options, _convert),
+    'evaluate': (_evaluate_options, _evaluate),
+    'calibrate': (_calibrate_options, _calibrate),
+    'report': (_report_options, _report),
+    'chips': (_chips_options, _chips),
+}
+
+
+def _add_labels(add: _Add, count: str) -> None:
+    """Add the options that say which ships to read."""
+    add('labels', type=Path, nargs=count, metavar='LABELS', help='label files or folders')
+    add('--format', help=f'{", ".join(FORMATS)}; default: detected')
+    add('--reference', type=Path, metavar='FILE',
+        help='labels with the reference boxes, matched by image and overlap')
+    add('--image-size', type=int, nargs=2, metavar=('W', 'H'),
+        help='size of every image, pixels, for normalised formats without images')
+
+
+def _add_numbers(add: _Add, defaults: object, meanings: Mapping[str, str]) -> None:
+    """Add options for numbers whose names, types and defaults are those of an object."""
+    for name, meaning in meanings.items():
+        default = getattr(defaults, name)
+        add(f'--{name}', type=type(default), default=default, help=f'{meaning}; default: {default}')
+
+
+def _read_ships(options: _Options) -> Ships:
+    """Read the ships; malformed records are reported, counted and left out."""
+    errors: list[labels.LabelError] = []
+
+    def report(error: labels.LabelError) -> None:
+        errors.append(error)
+        note(f'obbhbb: left out: {error}')
+
+    size = tuple(options.image_size) if options.image_size else None
+    ships = read_ships(
+        options.labels, options.format,
+        reference=options.reference, image_size=size, on_error=report,
+    )
+    if options.reference:
+        found = int(ships.with_reference.sum())
+        note(f'obbhbb: {found} of {len(ships)} ships have a box in {options.reference}')
+    if errors or ships.skipped:
+        note(
+            f'obbhbb: {len(errors)} malformed records and {ships.skipped} boxes without area left '
+            f'out, {len(ships)} ships read'
+        )
+    return ships

@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a calibration is worth: its rules, measured on images that they were not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from dataclasses import field
+from functools import partial
+from itertools import pairwise
+from typing import Any
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.converter import PAPER_RULE
+from obbhbb_ros.converter import HullRule
+from obbhbb_ros.converter import convert_by_rule
+from obbhbb_ros.study import evaluation
+from obbhbb_ros.study.calibration import OBJECTIVES
+from obbhbb_ros.study.calibration import Plan
+from obbhbb_ros.study.calibration import calibrate
+from obbhbb_ros.study.calibration import enough
+from obbhbb_ros.study.calibration import folds_of
+from obbhbb_ros.study.ships import Ships
+
+CALIBRATED = 'calibrated'
+BY_CLASS = 'by class'
+_BANDS = 3
+
+# Gets the ships to calibrate on and the ships to sort; returns the group of each of the latter,
+# negative for the rule of all.
+Grouping: TypeAlias = Callable[[Ships, Ships], NDArray[np.intp]]
+
+
+def no_groups(known: Ships, ships: Ships) -> NDArray[np.intp]:
+    """Leave all ships to the rule of all."""
+    return np.full(len(ships), -1)
+
+
+def aspect_groups(known: Ships, ships: Ships) -> NDArray[np.intp]:
+    """Sort ships into the bands of aspect ratio that hold equally many of the known ships."""
+    return np.searchsorted(_aspect_edges(known), ships.aspect)
+
+
+def class_groups(names: list[str], known: Ships, ships: Ships) -> NDArray[np.intp]:
+    """Sort ships into some classes; the others are in no group."""
+    found = np.full(len(ships), -1, dtype=np.intp)
+    for index, name in enumerate(names):
+        found[ships.class_ids == name] = index
+    return found
+
+
+def _aspect_edges(ships: Ships) -> FloatArray:
+    """Find the inner edges of bands of aspect ratio with equally many ships."""
+    return np.asarray(np.quantile(ships.aspect, np.arange(1, _BANDS) / _BANDS))
+
+
+@dataclass(frozen=True)
+class Gain:
+    """
+    Gain of groups with rules of their own over one rule, on held-out images.
+
+    The mean gain in the figure of the objective (IoU, matches, or relative area saved) and its
+    95 % bootstrap interval.
+    """
+
+    name: str
+    mean: float
+    low: float
+    high: float
+
+    @property
+    def earned(self) -> bool:
+        """Whether the whole interval is above zero."""
+        return self.low > 0.0
+
+    def __str__(self) -> str:
+        """Say it in one line."""
+        verdict = 'earns its place' if self.earned else 'does not earn its place'
+        interval = f'{self.low:+.4f} to {self.high:+.4f}'
+        return f'{self.name}: {verdict}, gain {self.mean:+.4f} ({interval})'
+
+
+@dataclass(eq=False)
+class Outcome:
+    """
+    Result of a calibration.
+
+    Attributes
+    ----------
+    plan : Plan
+        How it was calibrated.
+    ships : Ships
+        The N ships.
+    rule : HullRule
+        The rule, from all ships.
+    rule_of_class : dict of str to HullRule
+        Rules of the classes that gain by one.
+    rule_of_aspect : list of (low, high, HullRule)
+        Rules by band of aspect ratio, if requested. The node has no parameter for them.
+    held_out : dict of str to dict of str to ndarray of shape (N,)
+        `obbhbb_ros.study.evaluation.figures` of each way to convert, calibrated on other images.
+        Empty without folds.
+    gains : list of Gain
+        Gains of classes and bands over one rule.
+    notes : list of str
+        Other remarks.
+    """
+
+    plan: Plan
+    ships: Ships
+    rule: HullRule
+    rule_of_class: dict[str, HullRule] = field(default_factory=dict)
+    rule_of_aspect: list[tuple[float, float, HullRule]] = field(default_factory=list)
+    held_out: dict[str, dict[str, FloatArray]] = field(default_factory=dict)
+    gains: list[Gain] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def interval(self, name: str) -> evaluation.Interval:
+        """Bound the mean IoU of one way to convert."""
+        return evaluation.bootstrap_intervals([self.held_out[name]['iou']], self.ships.image_of)[0]
+
+
+def run(
+    ships: Ships,
+    plan: Plan,
+    folds: int = 5,
+    *,
+    per_class: bool = False,
+    by_aspect: bool = False,
+    seed: int = 0,
+) -> Outcome:
+    """
+    Calibrate, and measure the result on held-out images.
+
+    Parameters
+    ----------
+    ships : Ships
+        Ships with reference boxes.
+    plan : Plan
+        How to calibrate.
+    folds : int
+        Folds of the cross-validation by image; 0 for none.
+    per_class, by_aspect : bool
+        Whether to try rules by class and by aspect ratio. A class gets its own rule only if that
+        gains on held-out images.
+    seed : int
+        Seed of the folds.
+
+    Returns
+    -------
+    Outcome
+        Rules and figures.
+
+    Raises
+    ------
+    ValueError
+        If there are too few ships or images, or groups are requested without folds.
+
+    Examples
+    --------
+    >>> from obbhbb_ros.study.hulls import FAMILIES, synthetic_ships
+    >>> boxy = synthetic_ships([FAMILIES['rectangular']], [1.0], aspects=2, angles=9)
+    >>> outcome = run(boxy, Plan(), folds=2)
+    >>> round(float(outcome.held_out['calibrated']['iou'].mean()), 2)
+    0.99
+    """
+    if (per_class or by_aspect) and not folds:
+        raise ValueError('rules by class or aspect ratio are judged on held-out images: give folds')
+    outcome = Outcome(plan, ships, calibrate(ships, plan))
+    if not folds:
+        return outcome
+    fold = folds_of(ships, folds, seed)
+    if not all(enough(ships.take(fold != index), plan, least=1) for index in range(folds)):
+        outcome.notes.append(
+            f'No held-out figures: without one of {folds} folds the ships are too few for a '
+            f'share of {plan.share:g}.'
+        )
+        return outcome
+    classes = _large_classes(outcome) if per_class else []
+    groupings: dict[str, Grouping] = {CALIBRATED: no_groups}
+    if by_aspect:
+        groupings['by aspect ratio'] = aspect_groups
+        outcome.rule_of_aspect = _aspect_rules(ships, plan)
+    if classes:
+        groupings[BY_CLASS] = partial(class_groups, classes)
+    fixed = {'outer': HullRule('outer'), 'paper': PAPER_RULE, 'default': HullRule()}
+    boxes = {name: convert_by_rule(ships.boxes, rule) for name, rule in fixed.items()}
+    for name, grouping in groupings.items():
+        boxes[name] = held_out_boxes(ships, plan, folds, seed, grouping)
+    settings = evaluation.Settings(keep=plan.keep, bootstrap=0)
+    for name, xyxy in boxes.items():
+        outcome.held_out[name] = evaluation.figures(ships, xyxy, 'hbb', settings)
+    outcome.gains += [_gain(outcome, name) for name in groupings if name != CALIBRATED]
+    for name in classes:
+        rows = ships.class_ids == name
+        gain = _gain(outcome, BY_CLASS, rows, f'class {name}')
+        outcome.gains.append(gain)
+        if gain.earned:
+            outcome.rule_of_class[name] = calibrate(ships.take(rows), plan)
+    return outcome
+
+
+def held_out_boxes(
+    ships: Ships, plan: Plan, folds: int = 5, seed: int = 0, grouping: Grouping = no_groups
+) -> FloatArray:
+    """
+    Convert each ship by rules that were calibrated on other images.
+
+    Parameters
+    ----------
+    ships : Ships
+        N ships with reference boxes.
+    plan, folds, seed
+        As for `run`.
+    grouping : callable
+        Sorts ships into groups; a group that is large enough gets a rule of its own.
+
+    Returns
+    -------
+    ndarray, shape (N, 4)
+        Boxes, pixels.
+    """
+    fold = folds_of(ships, folds, seed)
+    xyxy = np.empty((len(ships), 4))
+    for index in range(folds):
+        known, new = ships.take(fold != index), ships.take(fold == index)
+        boxes = convert_by_rule(new.boxes, calibrate(known, plan))
+        of_known, of_new = grouping(known, known), grouping(known, new)
+        for group in np.unique(of_new[of_new >= 0]):
+            rows, mine = of_known == group, of_new == group
+            if rows.any() and enough(known.take(rows), plan):
+                rule = calibrate(known.take(rows), plan)
+                boxes[mine] = convert_by_rule(new.boxes.take(mine), rule)
+        xyxy[fold == index] = boxes
+    return xyxy
+
+
+def _aspect_rules(ships: Ships, plan: Plan) -> list[tuple[float, float, HullRule]]:
+    """Calibrate each band of aspect ratio on all its ships."""
+    rules = []
+    for low, high in pairwise([1.0, *_aspect_edges(ships).tolist(), np.inf]):
+        rows = (ships.aspect >= low) & (ships.aspect < high)
+        if rows.any() and enough(ships.take(rows), plan):
+            rules.append((low, high, calibrate(ships.take(rows), plan)))
+    return rules
+
+
+def _large_classes(outcome: Outcome) -> list[str]:
+    """List the classes that are large enough for a rule; note it if there is nothing to try."""
+    ships = outcome.ships
+    names = [str(name) for name in np.unique(ships.class_ids) if str(name)]
+    large = [name for name in names if enough(ships.take(ships.class_ids == name), outcome.plan)]
+    if len(names) >= 2 and large:
+        return large
+    outcome.notes.append(
+        f'per class: nothing to do, {len(names)} classes, {len(large)} of them large enough'
+    )
+    return []
+
+
+def _gain(
+    outcome: Outcome, name: str, rows: Any = slice(None), title: str | None = None
+) -> Gain:
+    """Compare groups with one rule, ship by ship."""
+    objective = OBJECTIVES[outcome.plan.objective]
+    found = outcome.held_out[name][objective.figure]
+    base = outcome.held_out[CALIBRATED][objective.figure]
+    difference = (objective.sign * (found - base))[rows]
+    (interval,) = evaluation.bootstrap_intervals([difference], outcome.ships.image_of[rows])
+    return Gain(title or name, float(difference.mean()), *interval)

@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+All pictures of the study: charts of its results, and ships with their boxes. Needs matplotlib.
+
+One function per figure; `save` writes a figure to a file, `svg` makes it part of a page.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+from collections.abc import Iterator
+from collections.abc import Mapping
+from collections.abc import Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib import patches
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.converter import convert_by_rule
+from obbhbb_ros.files import replacing
+from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.study import evaluation
+from obbhbb_ros.study.chip_costs import ENCODERS
+from obbhbb_ros.study.chip_costs import RULES
+from obbhbb_ros.study.chip_costs import Cost
+from obbhbb_ros.study.grid_search import Surface
+from obbhbb_ros.study.hulls import FAMILIES
+from obbhbb_ros.study.hulls import FULLNESS
+from obbhbb_ros.study.metrics import PROTOCOLS
+from obbhbb_ros.study.metrics import bounds
+
+COLORS = {
+    'superellipse': '#0b7d3e',
+    'shape_aware': '#e08a00',
+    'outer': '#1f5fbf',
+    'midpoint': '#b0389b',
+    'gaussian': '#d03b2a',
+    'area_equivalent': '#5f6a72',
+    'gaussian_published': '#e79a90',
+    'area_equivalent_published': '#a9b1b7',
+}
+_SEA = '#dfe9ee'
+_HULL = '#9aa7ad'
+_HULL_EDGE = '#5f6a72'
+_BEST = '#d03b2a'
+_LINES = ('#1f5fbf', '#0b7d3e', '#e08a00', '#b0389b', '#5f6a72')
+_SHADES = ('#9ecae1', '#6baed6', '#3182bd', '#08519c')
+_DASHES = (0, (4, 3))
+_MARKERS = 'o^s*Dv<>'
+_CLOSE_UPS = 6
+_PANEL_WIDTH = 5.6
+_STYLE = {
+    'axes.spines.right': False, 'axes.spines.top': False, 'axes.grid': True, 'grid.alpha': 0.25,
+    'font.size': 10.0, 'svg.fonttype': 'none', 'svg.hashsalt': 'obbhbb',
+}
+
+
+def color_of(method: str) -> str:
+    """Return the colour of a method, black for one that has none yet."""
+    return COLORS.get(method, 'black')
+
+
+def save(figure: Figure, path: Path, dpi: int = 120) -> None:
+    """Write a figure to a file, in the format of its suffix, PNG without one."""
+    with _styled(), replacing(path) as whole:
+        figure.savefig(whole, dpi=dpi, format=path.suffix[1:] or 'png')
+
+
+def svg(figure: Figure) -> str:
+    """Write a figure as an `<svg>` element for a page."""
+    file = io.StringIO()
+    with _styled():
+        figure.savefig(file, format='svg', metadata={'Date': None})
+    text = file.getvalue()
+    return text[text.index('<svg'):]
+
+
+@contextmanager
+def _styled() -> Iterator[None]:
+    """Apply the style of the charts, in a `with` block or as a decorator."""
+    with mpl.rc_context(_STYLE):
+        yield
+
+
+def _panels(count: int, height: float, **options: Any) -> tuple[Figure, Any]:
+    """Make a figure with panels side by side."""
+    figure = Figure(figsize=(_PANEL_WIDTH * count, height), layout='constrained')
+    return figure, figure.subplots(1, count, squeeze=False, **options)[0]
+
+
+def _add_legend_below(figure: Figure, share: float, handles: Sequence[Any], **options: Any) -> None:
+    """Put a legend under the panels; 'outside' places are not known to matplotlib 3.6."""
+    figure.set_layout_engine('constrained', rect=(0.0, share, 1.0, 1.0 - share))
+    figure.legend(handles=handles, loc='lower center', **options)
+
+
+def _add_box(axes: Any, xyxy: FloatArray, color: str, width: float) -> None:
+    """Outline an axis-aligned box, (4,)."""
+    x0, y0, x1, y1 = xyxy
+    axes.add_patch(patches.Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=color, lw=width))
+
+
+@_styled()
+def angle_figure(scores: Sequence[evaluation.Score]) -> Figure:
+    """
+    Draw mean IoU over the bands of tilt, as the paper's angle-stratified figures do.
+
+    One panel per protocol, one line per method, with 95 % intervals if there are any.
+    """
+    by_protocol = evaluation.nested(scores)
+    figure, panels = _panels(len(by_protocol), 4.6)
+    for axes, (protocol, by_stratum) in zip(panels, by_protocol.items(), strict=True):
+        _draw_bands(axes, by_stratum)
+        axes.set_title(f'protocol {protocol}: {PROTOCOLS[protocol]}', fontsize=10)
+    handles, _ = panels[0].get_legend_handles_labels()
+    _add_legend_below(figure, 0.13, handles, ncol=4, frameon=False)
+    return figure
+
+
+def _draw_bands(axes: Any, by_stratum: Mapping[str, Mapping[str, evaluation.Score]]) -> None:
+    """Draw one protocol."""
+    bands = list(evaluation.TILT_BANDS)
+    for index, method in enumerate(next(iter(by_stratum.values()))):
+        found = {x: by_stratum[band][method] for x, band in enumerate(bands) if band in by_stratum}
+        spread = np.array([[s.iou - s.iou_low, s.iou_high - s.iou] for s in found.values()])
+        axes.errorbar(
+            list(found), [score.iou for score in found.values()],
+            np.nan_to_num(spread.reshape(-1, 2)).clip(0.0).T, label=method,
+            color=color_of(method), marker=_MARKERS[index % len(_MARKERS)],
+            lw=2.2 if method == 'superellipse' else 1.4, capsize=2,
+            ls='--' if method.endswith('published') else '-',
+        )
+    axes.set(
+        xticks=range(len(bands)), xticklabels=bands, xlim=(-0.25, len(bands) - 0.75),
+        ylim=(0.0, 1.0), ylabel='mean IoU',
+    )
+
+
+@_styled()
+def surface_figure(surfaces: Mapping[str, Surface]) -> Figure:
+    """Draw mean IoU over q and f, each at its best s; the best setting of each panel is framed."""
+    figure, panels = _panels(len(surfaces), 3.9)
+    best_s = {title: surface.mean_iou.max(axis=2) for title, surface in surfaces.items()}
+    limits = min(v.min() for v in best_s.values()), max(v.max() for v in best_s.values())
+    for axes, (title, surface) in zip(panels, surfaces.items(), strict=True):
+        _draw_surface(axes, best_s[title], limits)
+        grid = surface.grid
+        axes.set(
+            xticks=range(len(grid.q)), xticklabels=[f'{q:g}' for q in grid.q], xlabel='q',
+            yticks=range(len(grid.f)), yticklabels=[f'{f:g}' for f in grid.f], ylabel='f',
+        )
+        q, f, s = surface.best()
+        axes.set_title(f'{title}: best q {q:g}, f {f:g}, s {s:g}', fontsize=10)
+    return figure
+
+
+def _draw_surface(axes: Any, values: FloatArray, limits: tuple[float, float]) -> None:
+    """Draw one surface, (Q, F), with its numbers."""
+    axes.grid(visible=False)
+    axes.imshow(
+        values.T, origin='lower', aspect='auto', cmap='YlGnBu', vmin=limits[0], vmax=limits[1]
+    )
+    for (i, j), value in np.ndenumerate(values):
+        color = 'white' if value > sum(limits) / 2.0 else 'black'
+        axes.text(i, j, f'{value:.3f}', ha='center', va='center', color=color, fontsize=8)
+    i, j = np.unravel_index(int(np.argmax(values)), values.shape)
+    _add_box(axes, np.array([i - 0.5, j - 0.5, i + 0.5, j + 0.5]), _BEST, 2.5)
+
+
+@_styled()
+def error_figure(errors: Mapping[str, Mapping[str, FloatArray]]) -> Figure:
+    """Draw the best relative errors by method and family, one for each level of `FULLNESS`."""
+    figure, panels = _panels(len(errors), 3.4, sharey=True)
+    for axes, (method, families) in zip(panels, errors.items(), strict=True):
+        for index, (full, shade) in enumerate(zip(FULLNESS, _SHADES, strict=True)):
+            x = np.arange(len(families)) + (index - 1.5) * 0.2
+            heights = [values[index] for values in families.values()]
+            axes.bar(x, heights, 0.18, color=shade, label=f'fullness {full:.2f}')
+        axes.set(xticks=range(len(families)), xticklabels=list(families), title=method)
+    panels[0].set_ylabel('mean relative error')
+    panels[0].legend(frameon=False, fontsize=8)
+    return figure
+
+
+@_styled()
+def sensitivity_figure(
+    fullness: FloatArray, curves: Mapping[str, Mapping[str, FloatArray]]
+) -> Figure:
+    """Draw mean IoU over K values of f, by panel and line, (K,), and mark the best f of each."""
+    figure, panels = _panels(len(curves), 3.8)
+    for axes, (title, lines) in zip(panels, curves.items(), strict=True):
+        for color, (name, values) in zip(_LINES, lines.items(), strict=False):
+            best = int(np.argmax(values))
+            label = f'{name}: best f {fullness[best]:.2f}'
+            axes.plot(fullness, values, color=color, label=label)
+            axes.plot(fullness[best], values[best], 'o', color=color)
+        axes.set(xlabel='f', ylabel='mean IoU', title=title)
+        axes.legend(frameon=False, fontsize=8)
+    return figure
+
+
+@_styled()
+def hull_panel() -> Figure:
+    """Draw the synthetic hulls, one row per fullness, with their oriented and reference boxes."""
+    angle, aspect = np.radians(25.0), 4.0
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [1.0, 1.0 / aspect] @ turn
+    figure = Figure(figsize=(10.0, 6.6), layout='constrained')
+    grid = figure.subplots(len(FULLNESS), len(FAMILIES))
+    for row, full in zip(grid, FULLNESS, strict=True):
+        for axes, family in zip(row, FAMILIES.values(), strict=True):
+            hull = family.outline(full) * [1.0, 1.0 / aspect] @ turn
+            axes.add_patch(patches.Polygon(hull, facecolor=_HULL, edgecolor=_HULL_EDGE))
+            axes.add_patch(patches.Polygon(corners, fill=False, ls=_DASHES))
+            _add_box(axes, bounds(hull), COLORS['superellipse'], 2.0)
+            axes.set(xlim=(-1.2, 1.2), ylim=(0.8, -0.8), xticks=[], yticks=[], aspect='equal')
+            axes.set_title(f'{family.name} {full:.2f}', fontsize=9)
+            axes.axis('off')
+    figure.suptitle('Synthetic hulls, their oriented box (dashed) and reference box (green)')
+    return figure
+
+
+def scene_figure(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> Figure:
+    """Draw N ships of an image with the boxes, (N, 4), of each method: all, and some close-ups."""
+    figure = Figure(figsize=(17.0, 7.6), layout='constrained')
+    halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1.0))
+    whole, details = halves
+    axes = whole.subplots()
+    shown = {name: boxes[name] for name in ('outer', 'superellipse') if name in boxes}
+    _draw_ships(axes, labels, shown, range(len(labels.class_ids)))
+    axes.set_title(f'{labels.image}: oriented boxes (dashed), hulls, {" and ".join(shown)}')
+    if labels.size:
+        axes.set(xlim=(0, labels.size[0]), ylim=(labels.size[1], 0))
+    oriented = OrientedBoxes.from_corners(labels.corners)
+    panels = details.subplots(2, _CLOSE_UPS // 2).ravel()
+    for panel, row in zip(panels, _typical(oriented), strict=False):
+        _draw_ships(panel, labels, boxes, [row])
+        low, high = labels.corners[row].min(axis=0), labels.corners[row].max(axis=0)
+        (x, y), reach = (low + high) / 2.0, 0.62 * (high - low).max()
+        panel.set(xlim=(x - reach, x + reach), ylim=(y + reach, y - reach), xticks=[], yticks=[])
+        degrees = np.degrees(oriented.theta[row])
+        panel.set_title(f'{labels.class_ids[row]} {labels.ids[row]}, {degrees:.0f}°')
+    handles = [
+        patches.Patch(facecolor=_HULL, label='hull'),
+        Line2D([], [], color='black', ls=_DASHES, label='oriented box'),
+        *(Line2D([], [], color=color_of(name), label=name) for name in boxes),
+    ]
+    _add_legend_below(figure, 0.08, handles, ncol=5)
+    return figure
+
+
+def _typical(oriented: OrientedBoxes) -> list[int]:
+    """Choose ships from upright to diagonal, the longest of each band of tilt."""
+    tilt = np.abs(np.mod(oriented.theta + np.pi / 4, np.pi / 2) - np.pi / 4)
+    band = np.minimum((tilt / (np.pi / 4) * _CLOSE_UPS).astype(int), _CLOSE_UPS - 1)
+    members = [np.flatnonzero(band == index) for index in range(_CLOSE_UPS)]
+    return [int(rows[np.argmax(oriented.length[rows])]) for rows in members if rows.size]
+
+
+def _draw_ships(
+    axes: Any, labels: ImageLabels, boxes: Mapping[str, FloatArray], rows: Iterable[int]
+) -> None:
+    """Draw hulls, oriented boxes and axis-aligned boxes of some rows."""
+    # Each line is thinner than the one before, so that boxes that agree are all seen.
+    widths = np.linspace(0.5 * len(boxes), 1.0, len(boxes))
+    axes.set_facecolor(_SEA)
+    axes.set_aspect('equal')
+    for row in rows:
+        hull = labels.hulls[row]
+        if hull is not None:
+            axes.add_patch(patches.Polygon(hull, facecolor=_HULL, edgecolor='none'))
+        axes.add_patch(
+            patches.Polygon(labels.corners[row], fill=False, edgecolor='black', lw=1.0, ls=_DASHES)
+        )
+        for width, (name, xyxy) in zip(widths, boxes.items(), strict=True):
+            _add_box(axes, xyxy[row], color_of(name), width)
+
+
+def cost_figure(
+    costs: Mapping[str, Cost], labels: ImageLabels, pixels: NDArray[Any], title: str
+) -> Figure:
+    """
+    Draw an image, (H, W, C), with its boxes, and the cost of chips relative to the outer boxes.
+
+    The title says where the data come from.
+    """
+    figure = Figure(figsize=(15.0, 5.6), layout='constrained')
+    scene, bars = figure.subplots(1, 2, width_ratios=(1.1, 1.0))
+    scene.imshow(pixels, cmap='gray' if pixels.shape[2] == 1 else None)
+    scene.set(title=title, xticks=[], yticks=[])
+    boxes = OrientedBoxes.from_corners(labels.corners)
+    for name in ('outer', 'superellipse'):
+        for xyxy in convert_by_rule(boxes, RULES[name]):
+            _add_box(scene, xyxy, color_of(name), 1.3)
+    outer = costs['outer']
+    for index, (name, cost) in enumerate(costs.items()):
+        values = [cost.pixels / outer.pixels]
+        values += [cost.sizes[codec] / outer.sizes[codec] for codec in ENCODERS]
+        lost = f', {cost.hull_lost / cost.hull:.1%} of the hulls lost' if cost.hull else ''
+        x = np.arange(len(values)) + 0.27 * (index - 1)
+        drawn = bars.bar(x, values, 0.25, color=color_of(name), label=name + lost)
+        bars.bar_label(drawn, [f'{value:.0%}' for value in values], fontsize=8)
+    bars.set_xticks(range(1 + len(ENCODERS)), ['pixels', *ENCODERS])
+    bars.set(ylabel='relative to the outer boxes', ylim=(0.0, 1.25))
+    bars.set_title('cost of the chips')
+    bars.legend(loc='upper center', ncols=1, frameon=False)
+    return figure

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The paper's grid search for q, f and s (Algorithm 2), and the climb that refines its result.
+
+`Bench` arranges ships so that a setting costs little: the reach of the hulls is computed once for
+all settings, and the shrink factor only scales it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.converter import F_RANGE
+from obbhbb_ros.converter import S_RANGE
+from obbhbb_ros.methods import Method
+from obbhbb_ros.methods import get_method
+from obbhbb_ros.study.metrics import Overlap
+from obbhbb_ros.study.metrics import area
+from obbhbb_ros.study.ships import Ships
+
+_FIRST_STEP = 0.08
+_LAST_STEP = 5e-4
+_HALVINGS = 40
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Candidate values of q, f and s; a search tries all combinations."""
+
+    q: tuple[float, ...]
+    f: tuple[float, ...]
+    s: tuple[float, ...]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of values of q, f and s."""
+        return len(self.q), len(self.f), len(self.s)
+
+
+GRIDS: MappingProxyType[str, Grid] = MappingProxyType({
+    # The paper's search space, 120 settings.
+    'paper': Grid(
+        q=(1.5, 1.8, 2.0, 2.2, 2.4, 2.6),
+        f=(0.7, 0.8, 0.9, 1.0, 1.1),
+        s=(0.95, 1.0, 1.05, 1.1),
+    ),
+    # Real ships turned out to lie beyond it.
+    'wide': Grid(
+        q=(1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 7.0),
+        f=(0.8, 0.9, 1.0, 1.1, 1.2),
+        s=(0.9, 0.95, 1.0, 1.05, 1.1),
+    ),
+})
+
+
+def tunable(name: str) -> Method:
+    """Look up a method that has q, f and s; another one raises ValueError."""
+    method = get_method(name)
+    if not method.tunable:
+        raise ValueError(f'{name} has no parameters to calibrate')
+    return method
+
+
+class Bench:
+    """
+    Ships arranged for trying many settings of one method.
+
+    Parameters
+    ----------
+    ships : Ships
+        N ships with reference boxes.
+    method : str
+        A tunable method.
+
+    Raises
+    ------
+    ValueError
+        If a ship has no reference box, or the method has no parameters.
+    """
+
+    def __init__(self, ships: Ships, method: str = 'superellipse') -> None:
+        if not ships.with_reference.all():
+            raise ValueError('calibration needs a reference box for every ship')
+        self._method = tunable(method)
+        self._along = np.abs(ships.boxes.long_axis)
+        self._across = np.abs(ships.boxes.short_axis)
+        self._low = ships.reference[:, :2].T - ships.boxes.center
+        self._high = ships.reference[:, 2:].T - ships.boxes.center
+        self._reference_area = area(ships.reference)
+        self._outer_area = 4.0 * np.prod(self._along + self._across, axis=0)
+
+    def extents(self, q: float, f: float) -> FloatArray:
+        """Compute half-extents before shrinking, pixels, shape (2, N)."""
+        return self._method.half_extents(self._along, self._across * f, q)
+
+    def overlap(self, extents: FloatArray) -> Overlap:
+        """Compare the boxes of half-extents, (2, N), with the references."""
+        shared = self._shared(extents)
+        return Overlap(shared, 4.0 * extents[0] * extents[1], self._reference_area)
+
+    def relative_area(self, extents: FloatArray) -> FloatArray:
+        """Compute areas relative to those of the outer boxes, shape (N,)."""
+        return 4.0 * extents[0] * extents[1] / self._outer_area
+
+    def needed_shrink(self, extents: FloatArray, keep: float) -> FloatArray:
+        """
+        Find the smallest s of each ship that keeps enough of its reference box, shape (N,).
+
+        The part that is kept never falls as s grows, so bisection finds it, to within 1e-11; s is
+        infinite where even the largest does not keep enough. `extents`, (2, N), are half-extents
+        at s = 1, pixels; `keep` is a share of the reference's area, in (0, 1].
+        """
+        enough = keep * self._reference_area * (1.0 - 1e-12)
+        low, high = np.zeros(extents.shape[1]), np.full(extents.shape[1], S_RANGE[1])
+        reachable = self._shared(extents * high) >= enough
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2.0
+            kept = self._shared(extents * middle) >= enough
+            high = np.where(kept, middle, high)
+            low = np.where(kept, low, middle)
+        return np.where(reachable, high, np.inf)
+
+    def _shared(self, extents: FloatArray) -> FloatArray:
+        """Compute the area shared with the references, (N,)."""
+        sides = np.minimum(self._high, extents) - np.maximum(self._low, -extents)
+        np.maximum(sides, 0.0, out=sides)
+        return sides[0] * sides[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """
+    Result of a grid search.
+
+    Attributes
+    ----------
+    grid : Grid
+        The settings.
+    mean_iou, match50, relative_error : ndarray, shape (Q, F, S)
+        Mean IoU, share of ships with IoU of 0.5 or more, mean relative error (Eq. relerr).
+    """
+
+    grid: Grid
+    mean_iou: FloatArray
+    match50: FloatArray
+    relative_error: FloatArray
+
+    def best(self, objective: str = 'mean_iou') -> tuple[float, float, float]:
+        """Return q, f and s of the best setting, the first of equals, as Algorithm 2 does."""
+        target = self.mean_iou
+        if objective == 'match50':
+            target = np.where(self.match50 == self.match50.max(), self.mean_iou, -1.0)
+        i, j, k = np.unravel_index(int(np.argmax(target)), target.shape)
+        return self.grid.q[i], self.grid.f[j], self.grid.s[k]
+
+
+def search(bench: Bench, grid: Grid) -> Surface:
+    """
+    Try every setting of a grid (Algorithm 2).
+
+    Examples
+    --------
+    >>> from obbhbb_ros.study.hulls import synthetic_ships
+    >>> ships = synthetic_ships(aspects=2, angles=9, seed=None)
+    >>> round(float(search(Bench(ships), GRIDS['paper']).mean_iou.max()), 2)
+    0.9
+    """
+    surface = Surface(grid, *(np.empty(grid.shape) for _ in range(3)))
+    for i, q in enumerate(grid.q):
+        for j, f in enumerate(grid.f):
+            extents = bench.extents(q, f)
+            for k, s in enumerate(grid.s):
+                found = bench.overlap(extents * s)
+                surface.mean_iou[i, j, k] = found.iou.mean()
+                surface.match50[i, j, k] = found.match(0.5).mean()
+                surface.relative_error[i, j, k] = found.relative_error.mean()
+    return surface
+
+
+class Point(NamedTuple):
+    """A setting to refine; u = 1 - 1/q runs from 0 for the rhombus to 1 for the rectangle."""
+
+    u: float
+    f: float
+    s: float
+
+    @property
+    def q(self) -> float:
+        """Shape exponent."""
+        return 1.0 / (1.0 - self.u) if self.u < 1.0 else float('inf')
+
+
+_LOWEST = Point(0.0, 0.05, 0.05)
+_HIGHEST = Point(1.0, F_RANGE[1], S_RANGE[1])
+# Up and down along each coordinate.
+_DIRECTIONS = np.kron(np.eye(3), [[1.0], [-1.0]])
+
+
+def refine(point: Point, value: Callable[[Point], tuple[float, ...]]) -> Point:
+    """
+    Climb from a setting, one coordinate at a time with halving steps (compass search).
+
+    It needs no derivative, which medians and shares do not have, and never ends below its start.
+    `value` is to grow; its tuples are compared from the front.
+    """
+    best = value(point)
+    step = _FIRST_STEP
+    while step >= _LAST_STEP:
+        moved = False
+        for direction in _DIRECTIONS:
+            other = Point(*np.clip(point + step * direction, _LOWEST, _HIGHEST).tolist())
+            found = value(other)
+            if found > best:
+                point, best, moved = other, found, True
+        if not moved:
+            step /= 2.0
+    return point

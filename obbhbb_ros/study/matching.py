@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Match the oriented boxes of one source to the reference boxes of another, by overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.labels.files import bare_name
+from obbhbb_ros.study.metrics import bounds
+from obbhbb_ros.study.metrics import iou
+
+MIN_IOU = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """
+    All oriented boxes, in their order, with the reference boxes found for them.
+
+    Rows of `reference` in `images` are NaN where none was found. `matched` is the number of those
+    found. Of what was not matched there are image and row of the oriented boxes, and image and
+    xyxy, pixels, of the reference boxes.
+    """
+
+    images: tuple[ImageLabels, ...]
+    matched: int
+    unmatched_boxes: tuple[tuple[str, int], ...]
+    unmatched_references: tuple[tuple[str, FloatArray], ...]
+
+
+def match_references(
+    boxes: Iterable[ImageLabels], references: Iterable[ImageLabels], min_iou: float = MIN_IOU
+) -> Matching:
+    """
+    Match oriented boxes to the reference boxes of another source.
+
+    Images are the same if their names are, without folder and suffix. Within an image the pair
+    with the highest IoU is matched first, then the next of those left; at equal IoU the earlier
+    oriented box comes first, and gets the earlier reference box. Classes are not compared, because
+    sources name them differently.
+
+    Parameters
+    ----------
+    boxes : iterable of ImageLabels
+        The oriented boxes; their own `reference` is ignored.
+    references : iterable of ImageLabels
+        The reference boxes, in `reference`; NaN rows are ignored.
+    min_iou : float
+        Lowest IoU of a reference box with the bounds of an oriented box, in (0, 1]. Bounds do not
+        depend on a conversion rule, so the choice favours none. The reference box of a thin ship
+        may be half as large as its bounds, so a higher limit would drop the difficult cases.
+
+    Raises
+    ------
+    ValueError
+        If `min_iou` is out of range, or two images of a source have the same bare name.
+    """
+    if not 0.0 < min_iou <= 1.0:
+        raise ValueError(f'min_iou must be in (0, 1], not {min_iou}')
+    images, others = list(boxes), list(references)
+    pools = {
+        name: _finite(np.concatenate([others[index].reference for index in rows]))
+        for name, rows in _rows_by_name(others).items()
+    }
+    matched = [np.full((len(image.class_ids), 4), np.nan) for image in images]
+    for name, rows in _rows_by_name(images).items():
+        if name not in pools:
+            continue
+        owners = np.repeat(rows, [len(matched[index]) for index in rows])
+        own, other = match_boxes(
+            bounds(np.concatenate([images[index].corners for index in rows])), pools[name], min_iou
+        )
+        found = np.full((len(owners), 4), np.nan)
+        found[own] = pools[name][other]
+        for index in rows:
+            matched[index] = found[owners == index]
+        pools[name] = np.delete(pools[name], other, axis=0)
+    pairs = list(zip(images, matched, strict=True))
+    unmatched = tuple(
+        (image.image, int(row))
+        for image, reference in pairs
+        for row in np.flatnonzero(np.isnan(reference[:, 0]))
+    )
+    return Matching(
+        images=tuple(replace(image, reference=reference) for image, reference in pairs),
+        matched=sum(map(len, matched)) - len(unmatched),
+        unmatched_boxes=unmatched,
+        unmatched_references=tuple((name, row) for name, pool in pools.items() for row in pool),
+    )
+
+
+def match_boxes(
+    boxes: FloatArray, references: FloatArray, min_iou: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """
+    Match the boxes of one image, (N, 4), to at most one reference, (M, 4), each; best IoU first.
+
+    Returns
+    -------
+    ndarray of int, ndarray of int
+        Rows of `boxes` and rows of `references` of each pair, by falling IoU; NaN rows match
+        nothing.
+    """
+    own, other = _overlapping(boxes, references)
+    # Two boxes without area have no IoU, and do not match.
+    with np.errstate(invalid='ignore'):
+        overlap = iou(boxes[own], references[other])
+    candidates = np.flatnonzero(overlap >= min_iou)
+    ranking = (other[candidates], own[candidates], -overlap[candidates])
+    best_first = candidates[np.lexsort(ranking)]
+    free_boxes, free_references = np.ones(len(boxes), bool), np.ones(len(references), bool)
+    chosen: list[int] = []
+    for pair in best_first.tolist():
+        if free_boxes[own[pair]] and free_references[other[pair]]:
+            free_boxes[own[pair]] = free_references[other[pair]] = False
+            chosen.append(pair)
+    rows = np.array(chosen, dtype=np.intp)
+    return own[rows], other[rows]
+
+
+def _overlapping(
+    boxes: FloatArray, references: FloatArray
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """List the pairs that touch: few, where all pairs of a large scene would be millions."""
+    own, other = (np.flatnonzero(np.isfinite(each).all(axis=1)) for each in (boxes, references))
+    tree = shapely.STRtree(shapely.box(*references[other].T))
+    near_own, near_other = tree.query(shapely.box(*boxes[own].T))
+    return own[near_own], other[near_other]
+
+
+def _finite(rows: FloatArray) -> FloatArray:
+    """Drop the rows that are not finite."""
+    return np.asarray(rows[np.isfinite(rows).all(axis=1)])
+
+
+def _rows_by_name(images: Sequence[ImageLabels]) -> dict[str, list[int]]:
+    """Group the indices of images by bare name; several entries of one name are one image."""
+    groups: dict[str, list[int]] = {}
+    for index, image in enumerate(images):
+        group = groups.setdefault(bare_name(image.image), [])
+        if group and images[group[0]].image != image.image:
+            names = f'{images[group[0]].image!r} and {image.image!r}'
+            raise ValueError(f'{names} cannot be told apart by their bare names')
+        group.append(index)
+    return groups

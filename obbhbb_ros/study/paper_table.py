@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's Table 1, and what the synthetic hulls of this package give in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from obbhbb_ros.converter import PAPER_RULE
+from obbhbb_ros.converter import HullRule
+from obbhbb_ros.converter import convert_by_rule
+from obbhbb_ros.study import hulls
+from obbhbb_ros.study.metrics import overlap_with_hbb
+from obbhbb_ros.study.ships import Ships
+
+# By family and row (N outer, M midpoint, S shape-aware), one number per level of `FULLNESS`.
+PAPER_TABLE: MappingProxyType[str, dict[str, tuple[float, ...]]] = MappingProxyType({
+    'rectangular': {
+        'N': (0.211, 0.127, 0.073, 0.000),
+        'M': (0.218, 0.267, 0.298, 0.342),
+        'S': (0.264, 0.293, 0.310, 0.333),
+    },
+    'tapered': {
+        'N': (0.421, 0.376, 0.347, 0.305),
+        'M': (0.104, 0.128, 0.143, 0.167),
+        'S': (0.174, 0.187, 0.195, 0.208),
+    },
+    'bow_stern': {
+        'N': (0.277, 0.199, 0.148, 0.077),
+        'M': (0.191, 0.234, 0.261, 0.301),
+        'S': (0.234, 0.258, 0.272, 0.290),
+    },
+    'fine': {
+        'N': (0.413, 0.366, 0.335, 0.290),
+        'M': (0.108, 0.133, 0.150, 0.175),
+        'S': (0.175, 0.188, 0.195, 0.207),
+    },
+})
+PAPER_ROWS: MappingProxyType[str, HullRule] = MappingProxyType(
+    {'N': HullRule('outer'), 'M': HullRule('midpoint'), 'S': PAPER_RULE}
+)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A mean relative error in the paper's Table 1, and ours, to which its family may be fitted."""
+
+    family: str
+    row: str
+    fullness: float
+    paper: float
+    ours: float
+    fitted: bool
+
+    @property
+    def deviation(self) -> float:
+        """Ours minus the paper's."""
+        return self.ours - self.paper
+
+
+def _relative_errors(ships: Ships, rule: HullRule) -> dict[str, float]:
+    """Compute the mean relative error (Eq. relerr) of a rule by class."""
+    errors = overlap_with_hbb(convert_by_rule(ships.boxes, rule), ships.reference).relative_error
+    return {
+        name: float(errors[ships.class_ids == name].mean())
+        for name in np.unique(ships.class_ids).tolist()
+    }
+
+
+def paper_comparison() -> list[Comparison]:
+    """
+    Compare the paper's Table 1 with the results on synthetic hulls.
+
+    Returns
+    -------
+    list of Comparison
+        48, by family, row and fullness; 4 of them fitted.
+    """
+    ships = hulls.synthetic_ships(seed=None)
+    errors = {row: _relative_errors(ships, rule) for row, rule in PAPER_ROWS.items()}
+    return [
+        Comparison(
+            family, row, full, paper, errors[row][hulls.class_name(family, full)],
+            fitted=row == 'N' and full == 1.0,
+        )
+        for family, table in PAPER_TABLE.items()
+        for row, numbers in table.items()
+        for full, paper in zip(hulls.FULLNESS, numbers, strict=True)
+    ]
+
+
+def mean_deviation(found: Sequence[Comparison], row: str) -> float:
+    """Average the absolute deviations of the predicted numbers of a row, N, M or S."""
+    return float(np.mean([abs(c.deviation) for c in found if c.row == row and not c.fitted]))
+
+
+def fit_ends(family: hulls.Family) -> hulls.Family:
+    """
+    Shape a family so that it gives the paper's row "N" at fullness 1.00.
+
+    Its ends below 1 are replaced by one number, found by bisection to 1e-5.
+    """
+    target = PAPER_TABLE[family.name]['N'][hulls.FULLNESS.index(1.0)]
+    low, high = 0.0, 1.0
+    fitted = family
+    while high - low > 1e-5:
+        end = (low + high) / 2.0
+        fitted = replace(
+            family,
+            bow=end if family.bow < 1.0 else 1.0,
+            stern=end if family.stern < 1.0 else 1.0,
+        )
+        ships = hulls.synthetic_ships([fitted], [1.0], seed=None)
+        (error,) = _relative_errors(ships, PAPER_ROWS['N']).values()
+        low, high = (end, high) if error > target else (low, end)
+    return fitted

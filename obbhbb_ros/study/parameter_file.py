@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write calibrated rules as a parameter file of the node."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from collections.abc import Sequence
+
+import numpy as np
+
+from obbhbb_ros.converter import HullRule
+from obbhbb_ros.methods import ONBOARD_METHODS
+
+
+def yaml_text(
+    rule: HullRule, rule_of_class: Mapping[str, HullRule], notes: Sequence[str] = ()
+) -> str:
+    """
+    Write rules as YAML for `--params-file`, for a node of any name in any namespace.
+
+    Parameters
+    ----------
+    rule : HullRule
+        Rule for every class without its own.
+    rule_of_class : mapping of str to HullRule
+        By class.
+    notes : sequence of str
+        Comments for the top of the file.
+
+    Raises
+    ------
+    ValueError
+        If the node does not offer a rule's method, or a class id cannot be part of a parameter's
+        name.
+
+    Examples
+    --------
+    >>> print(yaml_text(HullRule('superellipse', q=3.5), {}))
+    /**:
+      ros__parameters:
+        method: "superellipse"
+        q: 3.5
+        f: 1.0
+        s: 1.0
+    <BLANKLINE>
+    """
+    for class_id, each in {'': rule, **rule_of_class}.items():
+        if each.method not in ONBOARD_METHODS:
+            raise ValueError(f'the node does not offer the method {each.method}')
+        if class_id != class_id.strip() or not class_id.isprintable():
+            raise ValueError(f'class {class_id!r} cannot be part of a parameter name')
+    lines = [f'# {line}' for note in notes for line in note.splitlines()]
+    lines += ['/**:', '  ros__parameters:', *_values(rule, '    ')]
+    if rule_of_class:
+        lines += [f'    class_ids: {json.dumps(list(rule_of_class))}', '    classes:']
+        for class_id, own in rule_of_class.items():
+            lines += [f'      {json.dumps(class_id)}:', *_values(own, '        ')]
+    return '\n'.join(lines) + '\n'
+
+
+def _values(rule: HullRule, indent: str) -> list[str]:
+    """Write the four parameters of a rule."""
+    numbers = [f'{indent}{name}: {_double(getattr(rule, name))}' for name in ('q', 'f', 's')]
+    return [f'{indent}method: {json.dumps(rule.method)}', *numbers]
+
+
+def _double(value: float) -> str:
+    """Write a number with a decimal point, so that ROS takes it for a double."""
+    return repr(float(value)) if np.isfinite(value) else '.inf'

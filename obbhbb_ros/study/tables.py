@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results as text for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from collections.abc import Sequence
+
+import numpy as np
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.converter import HullRule
+from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.study import evaluation
+from obbhbb_ros.study import metrics
+from obbhbb_ros.study.calibration import OBJECTIVES
+from obbhbb_ros.study.calibration import Plan
+from obbhbb_ros.study.chip_costs import ENCODERS
+from obbhbb_ros.study.chip_costs import Cost
+from obbhbb_ros.study.cross_validation import Outcome
+from obbhbb_ros.study.paper_table import Comparison
+from obbhbb_ros.study.rules import TUNABLE_METHODS
+
+
+def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Align columns: the first to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    lines = [list(head), ['-' * width for width in widths], *map(list, rows)]
+    return '\n'.join(
+        '  '.join(
+            cell.rjust(width) if i else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        )
+        for line in lines
+    )
+
+
+def score_tables(
+    scores: Sequence[evaluation.Score],
+    settings: evaluation.Settings = evaluation.DEFAULT_SETTINGS,
+) -> str:
+    """Write scores: for each protocol all figures over all ships, then mean IoU by stratum."""
+    head = [
+        'method', 'q / f / s', 'mean IoU', '95 % interval', f'match{settings.threshold * 100:g}',
+        'overshoot', 'undershoot', 'avg. error', 'area error', 'coverage',
+        f'keep {settings.keep:.0%}', 'area/outer',
+    ]
+    parts = []
+    for protocol, by_stratum in evaluation.nested(scores).items():
+        overall = list(by_stratum[evaluation.ALL].values())
+        title = (
+            f'protocol {protocol}: {metrics.PROTOCOLS[protocol]}, '
+            f'{overall[0].ships} ships in {overall[0].images} images'
+        )
+        parts.append(f'{title}\n{text_table(head, [_score_row(each) for each in overall])}')
+        rows = []
+        for stratum, by_method in by_stratum.items():
+            mine = list(by_method.values())
+            rows.append([stratum, str(mine[0].ships), *(f'{score.iou:.4f}' for score in mine)])
+        table = text_table(['stratum', 'ships', *by_stratum[evaluation.ALL]], rows)
+        parts.append(f'mean IoU by stratum, {title}\n{table}')
+    return '\n\n'.join(parts)
+
+
+def _score_row(score: evaluation.Score) -> list[str]:
+    """Write the figures of one method."""
+    tuned = score.method in TUNABLE_METHODS
+    return [
+        score.method,
+        f'{score.q:.4g} / {score.f:.4g} / {score.s:.4g}' if tuned else '',
+        f'{score.iou:.4f}',
+        '' if np.isnan(score.iou_low) else f'{score.iou_low:.3f}-{score.iou_high:.3f}',
+        f'{score.match:.4f}', f'{score.overshoot:.4f}', f'{score.undershoot:.4f}',
+        f'{score.average_error:.4f}', f'{score.area_error:.4f}', f'{score.coverage:.4f}',
+        f'{score.kept:.1%}', f'{score.area:.4f}',
+    ]
+
+
+def outcome_text(outcome: Outcome) -> str:
+    """Write the result of a calibration: the rule, held-out figures, gains, the guarantee."""
+    plan = outcome.plan
+    parts = [
+        f'{plan.method} for {OBJECTIVES[plan.objective].summary}, '
+        f'{len(outcome.ships)} ships in {outcome.ships.image_count} images: '
+        f'{_parameters(outcome.rule)}'
+    ]
+    if outcome.held_out:
+        parts.append(_held_out_table(outcome))
+    if outcome.rule_of_aspect:
+        bands = [
+            (f'{low:.2f} to {high:.2f}', _parameters(rule))
+            for low, high, rule in outcome.rule_of_aspect
+        ]
+        parts.append(text_table(('L/W', 'rule'), bands))
+    if outcome.gains:
+        parts.append('\n'.join(map(str, outcome.gains)))
+    if outcome.rule_of_class:
+        classes = [(name, _parameters(rule)) for name, rule in outcome.rule_of_class.items()]
+        parts.append(text_table(('class', 'rule'), classes))
+    if plan.objective == 'coverage':
+        parts.append(_guarantee(plan))
+    return '\n\n'.join(parts + outcome.notes)
+
+
+def _held_out_table(outcome: Outcome) -> str:
+    """Tabulate the figures on held-out images."""
+    rows = []
+    for name, found in outcome.held_out.items():
+        mean = {key: value.mean() for key, value in found.items()}
+        low, high = outcome.interval(name)
+        rows.append((
+            name, f'{mean["iou"]:.4f}', f'{low:.3f}-{high:.3f}', f'{mean["match"]:.4f}',
+            f'{mean["undershoot"]:.4f}', f'{mean["kept"]:.1%}', f'{mean["area"]:.4f}',
+        ))
+    head = (
+        'protocol hbb, held out', 'mean IoU', '95 % interval', 'match50', 'undershoot',
+        f'keep {outcome.plan.keep:.0%}', 'area/outer',
+    )
+    return text_table(head, rows)
+
+
+def _guarantee(plan: Plan) -> str:
+    """State what a calibration for coverage guarantees, and under which assumption."""
+    unit = 'ships' if plan.per_image == 1 else f'images of at most {plan.per_image} ships'
+    return (
+        f'Guarantee: a new ship keeps {plan.keep:.0%} of its reference box with a probability of '
+        f'at least {plan.share:.0%},\nif new {unit} are exchangeable with those that gave s '
+        '(half of the images; the others gave q and f).'
+    )
+
+
+def _parameters(rule: HullRule) -> str:
+    """Write the parameters of a rule."""
+    return f'q {rule.q:.4g}, f {rule.f:.4g}, s {rule.s:.4g}'
+
+
+def comparison_table(found: Sequence[Comparison]) -> str:
+    """Write the paper's Table 1, our numbers and the deviations, as `paper_comparison` gives it."""
+    families = list(dict.fromkeys(each.family for each in found))
+    rows: dict[str, list[str]] = {}
+    for each in sorted(found, key=lambda each: each.fullness):
+        name = f'{each.fullness:.2f} {each.row}'
+        deviation = 'fitted' if each.fitted else f'{each.deviation:+.3f}'
+        rows.setdefault(name, [name]).append(f'{each.paper:.3f}  {each.ours:.3f}  {deviation}')
+    return text_table(['paper, ours, deviation', *families], list(rows.values()))
+
+
+def cost_table(costs: Mapping[str, Cost]) -> str:
+    """Write the cost of chips by method, and in brackets the difference to the outer boxes."""
+    outer = costs['outer']
+    rows = []
+    for name, cost in costs.items():
+        cells = [_against(cost.pixels, outer.pixels)]
+        cells += [_against(cost.sizes[codec], outer.sizes[codec]) for codec in ENCODERS]
+        lost = f'{cost.hull_lost / cost.hull:.2%}' if cost.hull else 'unknown'
+        rows.append((name, str(cost.chips), *cells, lost))
+    head = [f'{codec} [bytes]' for codec in ENCODERS]
+    return text_table(('method', 'chips', 'pixels', *head, 'hull pixels lost'), rows)
+
+
+def _against(value: int, outer: int) -> str:
+    """Write a number and its difference to that of the outer boxes."""
+    return f'{value} ({value / outer - 1.0:+.1%})' if outer else str(value)
+
+
+def scene_table(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> str:
+    """
+    Compare the boxes of methods, each (N, 4), `outer` among them, on N ships with known hulls.
+
+    One row per method: mean size, share of the outer boxes' background that it removes, share of
+    the hulls that it keeps, mean IoU with the reference.
+    """
+    hulls = [hull for hull in labels.hulls if hull is not None]
+    whole = np.sum(metrics.hull_inside(np.array([metrics.bounds(hull) for hull in hulls]), hulls))
+    inside = {name: np.sum(metrics.hull_inside(xyxy, hulls)) for name, xyxy in boxes.items()}
+    background = {name: np.sum(metrics.area(xyxy)) - inside[name] for name, xyxy in boxes.items()}
+    rows = []
+    for name, xyxy in boxes.items():
+        width, height = np.mean(xyxy[:, 2:] - xyxy[:, :2], axis=0)
+        removed = 1.0 - background[name] / background['outer']
+        kept = inside[name] / whole
+        overlap = np.mean(metrics.iou(xyxy, labels.reference))
+        rows.append((
+            name, f'{width:.1f} x {height:.1f}', f'{removed:.1%}', f'{kept:.1%}', f'{overlap:.3f}'
+        ))
+    return text_table(
+        ('method', 'mean size [px]', 'background removed', 'hull kept', 'IoU with hull bounds'),
+        rows,
+    )
