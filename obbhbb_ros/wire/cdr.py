@@ -6,15 +6,17 @@ A message is described by the kinds below. Positions follow from the description
 number of n bytes lies at a multiple of n bytes from the end of the 4-byte encapsulation header,
 and a string or a sequence starts with its length in four bytes.
 
-There are two ways to walk a description. `skip` goes over one struct with plain numbers and tells
-where it ends. `Walk` goes over many structs of a kind at once with arrays, and tells where their
-fields lie.
+`walk` goes over one struct with plain numbers. `walk_all` goes over many structs of a kind at once
+with arrays, if it is known where they start. Both tell where the fields lie, in bytes from the end
+of the encapsulation header.
 """
 
 from __future__ import annotations
 
 import struct
 import sys
+from collections import defaultdict
+from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -41,6 +43,10 @@ _KEPT = np.array([0xFFFFFFFF, 0xFF, 0xFFFF, 0xFFFFFF], np.uint32)
 
 class WireError(ValueError):
     """Bytes that cannot be read as the message; the text says what is wrong and where."""
+
+
+class UnevenError(Exception):
+    """Structs that cannot be walked all at once."""
 
 
 @dataclass(frozen=True)
@@ -81,15 +87,13 @@ class Step(NamedTuple):
     kind: type
     path: str
     size: int
-    """Bytes of a number; its alignment."""
+    """Bytes of a number."""
     length: int
     """Bytes of the numbers, or of an item of an array."""
     inner: Sequence[Step]
-    """Steps of an element of a sequence."""
-    fixed: bool
-    """Whether all elements from the second on have the same size."""
-    aligned: bool = False
-    """Whether what lies before ends where this may start, wherever the struct starts."""
+    """Steps over an element of a sequence."""
+    alignment: int
+    """Multiple of bytes at which the numbers or the length start; 1: they do so by themselves."""
 
 
 def steps_of(struct: Struct, prefix: str = '') -> list[Step]:
@@ -114,25 +118,29 @@ def steps_of(struct: Struct, prefix: str = '') -> list[Step]:
         if isinstance(kind, dict):
             new = steps_of(kind, f'{path}.')
         elif isinstance(kind, Many):
-            inner = steps_of(kind.element, f'{path}.')
-            fixed = all(step.kind is Numbers for step in inner)
-            new = [Step(Many, path, 4, 0, inner, fixed)]
+            new = [Step(Many, path, 4, 0, steps_of(kind.element, f'{path}.'), 4)]
         elif isinstance(kind, Text):
-            new = [Step(Text, path, 4, 0, (), False)]
+            new = [Step(Text, path, 1, 0, (), 4)]
         else:
-            new = [Step(type(kind), path, kind.size, kind.size * kind.count, (), False)]
+            alignment = kind.size if isinstance(kind, Numbers) else 4
+            new = [Step(type(kind), path, kind.size, kind.size * kind.count, (), alignment)]
         for step in new:
-            last = steps[-1] if steps else None
-            if last and step.kind is last.kind is Numbers and step.size == last.size:
+            last = steps[-1] if steps and steps[-1].kind is Numbers else None
+            if last and step.kind is Numbers and step.size == last.size:
                 steps[-1] = last._replace(length=last.length + step.length)
             else:
-                needed = step.size if step.kind is Numbers else 4
-                aligned = last is not None and last.kind is Numbers and last.size >= needed
-                steps.append(step._replace(aligned=aligned))
+                by_itself = last is not None and last.size >= step.alignment
+                steps.append(step._replace(alignment=1) if by_itself else step)
     return steps
 
 
-def skip(words: memoryview, at: int, steps: Sequence[Step]) -> int:
+Found: TypeAlias = defaultdict[str, list[int]]
+"""By path, where the numbers start, or the lengths of strings and sequences."""
+
+
+def walk(
+    words: memoryview, at: int, steps: Sequence[Step], found: Found, gaps: list[tuple[int, int]]
+) -> int:
     """
     Go over one struct.
 
@@ -141,9 +149,13 @@ def skip(words: memoryview, at: int, steps: Sequence[Step]) -> int:
     words : memoryview of uint32
         The message after its encapsulation header.
     at : int
-        Byte at which the struct starts, or at which what lies before it ends.
+        Byte at which what lies before the struct ends.
     steps : sequence of Step
         The steps over the struct.
+    found : Found
+        Where the fields lie, to be added to.
+    gaps : list of tuple of int
+        First byte of padding and the one behind it, to be added to.
 
     Returns
     -------
@@ -157,11 +169,15 @@ def skip(words: memoryview, at: int, steps: Sequence[Step]) -> int:
     """
     path = ''
     try:
-        for kind, path, size, length, inner, fixed, _ in steps:
+        for kind, path, size, length, inner, alignment in steps:
+            start = at + alignment - 1 & -alignment
+            if start > at:
+                gaps.append((at, start))
+                at = start
+            found[path].append(at)
             if kind is Numbers:
-                at = (at + size - 1 & -size) + length
+                at += length
                 continue
-            at = at + 3 & -4
             count = words[at >> 2]
             at += 4
             if kind is Text:
@@ -171,10 +187,10 @@ def skip(words: memoryview, at: int, steps: Sequence[Step]) -> int:
             elif kind is Array:
                 if count:
                     at = (at + size - 1 & -size) + count * length
-            elif count > len(words):
-                raise WireError(f'{path} at byte {at} cannot hold {count} elements')
             else:
-                at = _skip_elements(words, at, inner, count, fixed)
+                _check_count(words, count, path)
+                for _ in range(count):
+                    at = walk(words, at, inner, found, gaps)
     except IndexError:
         raise WireError(
             f'{path} at byte {at} lies behind the end of the message, byte {4 * len(words)}'
@@ -182,128 +198,70 @@ def skip(words: memoryview, at: int, steps: Sequence[Step]) -> int:
     return at
 
 
-def _skip_elements(
-    words: memoryview, at: int, element: Sequence[Step], count: int, fixed: bool
-) -> int:
-    """Go over the elements of a sequence, or, if they are of fixed size, over the first ones."""
-    for number in range(count):
-        before, at = at, skip(words, at, element)
-        if fixed and number == 1:
-            return at + (count - 2) * (at - before)
-    return at
-
-
-class Walk:
+def walk_all(
+    words: Words,
+    at: IntArray,
+    steps: Sequence[Step],
+    found: dict[str, IntArray],
+    gaps: list[tuple[IntArray, IntArray]],
+) -> IntArray:
     """
-    The fields of many structs of a kind.
-
-    Parameters
-    ----------
-    words : ndarray of uint32
-        The message after its encapsulation header.
-    starts : ndarray of int, shape (N,)
-        Byte at which each struct starts, or at which what lies before it ends.
-    steps : sequence of Step
-        The steps over the struct.
-
-    Attributes
-    ----------
-    found : dict of str to ndarray of int, shape (N,)
-        For each step, byte at which its numbers start, or the length of its string or sequence.
-    ends : dict of str to ndarray of int, shape (N,)
-        For each step that may have to be aligned, byte at which what lies before it ends.
-    elements : dict of str to list of (rows, Walk)
-        For each sequence of structs, the first elements of all structs, then the second ones, and
-        so on; `rows` is an index of the structs that have one.
-    end : ndarray of int, shape (N,)
-        Byte behind each struct.
+    Go over many structs of a kind, like `walk`, with arrays of shape (N,) in place of numbers.
 
     Raises
     ------
+    UnevenError
+        If they cannot be walked together: one is none, or sequences of structs differ in length.
     IndexError
         If a length would lie behind the end.
     """
-
-    def __init__(self, words: Words, starts: IntArray, steps: Sequence[Step]) -> None:
-        self._words = words
-        self._steps = steps
-        self.found: dict[str, IntArray] = {}
-        self.ends: dict[str, IntArray] = {}
-        self.elements: dict[str, list[tuple[Any, Walk]]] = {}
-        at = starts
-        for step in steps:
-            if not step.aligned:
-                self.ends[step.path] = at
-                size = step.size if step.kind is Numbers else 4
-                at = at + (size - 1) & -size
-            self.found[step.path] = at
-            at = at + step.length if step.kind is Numbers else self._behind(step, at)
-        self.end = at
-
-    def _behind(self, step: Step, at: IntArray) -> IntArray:
-        """Find the byte behind strings or sequences whose lengths lie at a byte."""
-        count = self._words[at >> 2]
+    for step in steps:
+        if step.alignment > 1:
+            before, at = at, at + (step.alignment - 1) & -step.alignment
+            gaps.append((before, at))
+        found[step.path] = at
+        if step.kind is Numbers:
+            at = at + step.length
+            continue
+        count = words[at >> 2].astype(np.int64)
         at = at + 4
         if step.kind is Text:
-            return at + count
-        if step.kind is Many:
-            return self._walk_elements(step, at, count)
-        items = (at + step.size - 1 & -step.size) + count.astype(np.int64) * step.length
-        return np.where(count > 0, items, at)
+            if not count.all():
+                raise UnevenError
+            at = at + count
+        elif step.kind is Array:
+            items = (at + step.size - 1 & -step.size) + count * step.length
+            at = np.where(count > 0, items, at)
+        else:
+            at = _walk_elements(words, at, step, count, found, gaps)
+    return at
 
-    def _walk_elements(self, step: Step, at: IntArray, count: Words) -> IntArray:
-        """Walk over the elements of sequences of structs."""
-        elements = self.elements[step.path] = []
-        lowest = count.min(initial=0xFFFFFFFF)
-        for number in range(count.max(initial=0)):
-            rows: Any = slice(None) if number < lowest else count > number
-            walk = Walk(self._words, at[rows], step.inner)
-            elements.append((rows, walk))
-            at[rows] = walk.end
-        return at
 
-    @property
-    def has_empty_string(self) -> bool:
-        """Whether a string has not even its closing zero."""
-        texts = [self.found[step.path] for step in self._steps if step.kind is Text]
-        return any((self._words[at >> 2] == 0).any() for at in texts) or any(
-            walk.has_empty_string for elements in self.elements.values() for _, walk in elements
-        )
+def _walk_elements(
+    words: Words,
+    at: IntArray,
+    step: Step,
+    count: IntArray,
+    found: dict[str, IntArray],
+    gaps: list[tuple[IntArray, IntArray]],
+) -> IntArray:
+    """Go over sequences of structs, the first elements of all, then the second ones, and so on."""
+    if (count != count[0]).any():
+        raise UnevenError
+    walks: list[dict[str, IntArray]] = []
+    for _ in range(int(count[0])):
+        walks.append({})
+        at = walk_all(words, at, step.inner, walks[-1], gaps)
+    for path in walks[0] if walks else ():
+        # Those of one struct after another, as `walk` finds them.
+        found[path] = np.stack([each[path] for each in walks], axis=1).ravel()
+    return at
 
-    def blank(self, words: Words) -> None:
-        """Zero the bytes between fields: what writers leave there is whatever memory held."""
-        gaps = self._gaps()
-        ends = np.concatenate([end for end, _ in gaps])
-        words[ends >> 2] &= _KEPT[ends & 3]
-        # Alignment to eight bytes may leave a word free besides.
-        starts = np.concatenate([at for _, at in gaps])
-        words[(starts[starts - ends >= 4] >> 2) - 1] = 0
 
-    def _gaps(self) -> list[tuple[IntArray, IntArray]]:
-        """List the ends of fields and the starts of those behind them."""
-        gaps = [(end, self.found[path]) for path, end in self.ends.items()]
-        for elements in self.elements.values():
-            for _, walk in elements:
-                gaps += walk._gaps()
-        return [*gaps, (self.end, self.end)]
-
-    def byteswap(self, body: NDArray[np.uint8]) -> None:
-        """Turn every number and length from big-endian to little-endian."""
-        for step in self._steps:
-            at = self.found[step.path]
-            if step.kind is Numbers:
-                _swap(body, step.size, (at[:, None] + np.arange(0, step.length, step.size)).ravel())
-                continue
-            _swap(body, 4, at)
-            if step.kind is Array and step.size > 1:
-                first = at + 4 + step.size - 1 & -step.size
-                counts = self._words[at >> 2].tolist()
-                for start, count in zip(first.tolist(), counts, strict=True):
-                    end = start + count * step.length
-                    _swap(body, step.size, np.arange(start, end, step.size))
-        for elements in self.elements.values():
-            for _, walk in elements:
-                walk.byteswap(body)
+def _check_count(words: memoryview, count: int, path: str) -> None:
+    """Refuse a number of structs that the message cannot hold."""
+    if count > len(words):
+        raise WireError(f'{path}: the message cannot hold {count} elements')
 
 
 def _swap(body: NDArray[np.uint8], size: int, at: IntArray) -> None:
@@ -351,30 +309,30 @@ class Message:
         self._body = memoryview(data)[ENCAPSULATION:]
         given = np.frombuffer(self._body, self._order + 'u4', len(self._body) // 4)
         words: Words = given.astype('=u4', copy=False)
-        _check_end(skip(memoryview(words.data), 0, steps), len(self._body))
-        self._at = Walk(words, np.zeros(1, np.int64), steps).found
+        self._found: Found = defaultdict(list)
+        _check_end(walk(memoryview(words.data), 0, steps, self._found, []), len(self._body))
 
     @property
     def stamp(self) -> tuple[int, int]:
         """Seconds and nanoseconds."""
-        at = int(self._at['header.stamp.sec'][0])
+        at = self._found['header.stamp.sec'][0]
         seconds, nanoseconds = struct.unpack_from(self._order + 'iI', self._body, at)
         return seconds, nanoseconds
 
     def integers(self, path: str, count: int = 1) -> tuple[int, ...]:
         """Read 32-bit unsigned integers."""
-        at = int(self._at[path][0])
+        at = self._found[path][0]
         return struct.unpack_from(f'{self._order}{count}I', self._body, at)
 
     def bytes_at(self, path: str, size: int = 1) -> memoryview:
         """Look at the bytes of a number."""
-        at = int(self._at[path][0])
+        at = self._found[path][0]
         return self._body[at : at + size]
 
     def octets(self, path: str) -> memoryview:
         """Look at the content of a string, with its closing zero, or of a sequence of bytes."""
         (size,) = self.integers(path)
-        at = int(self._at[path][0]) + 4
+        at = self._found[path][0] + 4
         return self._body[at : at + size]
 
     def text(self, path: str) -> str:
@@ -384,6 +342,8 @@ class Message:
 
 # From this many elements on it is faster to look for all of them at once.
 _MANY = 32
+# Path of the byte behind each element, for `Elements.places`.
+ENDS = ''
 # Words of a string that are compared when looking for it.
 _MOST_WORDS = 4
 
@@ -415,8 +375,6 @@ class Elements:
         Number of elements.
     header_words : int
         Words of the header.
-    walk : Walk
-        The fields of the elements.
     end : int
         Byte behind the last element.
 
@@ -434,25 +392,42 @@ class Elements:
         many: bool = True,
         tail: Sequence[Step] = (),
     ) -> None:
-        order = _byte_order(data)
         size = len(data) - ENCAPSULATION
+        order = _byte_order(data)
         filling = bytes((-size & 7) + 8)
         self._buffer = bytearray().join((bytes(ENCAPSULATION), data, filling))
+        self._buffer[ENCAPSULATION:BODY] = LITTLE_ENDIAN
         self.words = np.frombuffer(self._buffer, '<u4', offset=BODY)
-        # Lengths are read from here, and no farther than the message goes.
-        self._lengths = self.words[: size // 4].astype('=u4', copy=False)
+        # No length is read from behind the end.
+        self._lengths = self.words[: size // 4]
         if order == '>':
-            self._lengths = self._lengths.byteswap()
+            self._byteswap(header, element, many, tail)
         # A memoryview gives single numbers in a third of the time that an array takes.
         self._scalars = memoryview(self._lengths.data)
+        found: Found = defaultdict(list)
+        gaps: list[tuple[int, int]] = []
+        at = walk(self._scalars, 0, header, found, gaps)
+        self.header_words = at + 3 >> 2
+        gaps.append((at, 4 * self.header_words))
+        self.count, at = _count(self._scalars, at) if many else (1, at)
         self._element = element
-        header_end = skip(self._scalars, 0, header)
-        self.count, start = self._count(header_end) if many else (1, header_end)
-        self.header_words = header_end + 3 >> 2
-        self.walk = self._find(start)
-        self.end = int(self.walk.end[-1]) if self.count else start
-        _check_end(skip(self._scalars, self.end, tail), size)
-        self._tidy(order, header, header_end, many)
+        self._at_once: dict[str, IntArray] = {}
+        self._one_by_one: Found = defaultdict(list)
+        end = self._walk_at_once(at) if self.count >= _MANY else None
+        if end is None:
+            end = self._walk_one_by_one(at, gaps)
+        self.end = end
+        _check_end(walk(self._scalars, end, tail, defaultdict(list), []), size)
+        # What writers leave between fields and behind the last one is whatever memory held.
+        gaps.append((end, len(self._buffer) - BODY))
+        for start, stop in gaps:
+            self._buffer[BODY + start : BODY + stop] = bytes(stop - start)
+
+    def places(self, path: str) -> IntArray:
+        """Give the byte at which a field of each element starts; see `Found`."""
+        if path in self._at_once:
+            return self._at_once[path]
+        return np.array(self._one_by_one[path], np.int64)
 
     def message(self) -> bytes:
         """Give the message with what was written to `words`."""
@@ -469,52 +444,47 @@ class Elements:
         seconds, nanoseconds = struct.unpack_from('<iI', self._buffer, BODY)
         return seconds, nanoseconds
 
-    def _count(self, at: int) -> tuple[int, int]:
-        """Read how many elements there are, and where the first starts."""
-        at = at + 3 & -4
-        words = len(self._scalars)
-        if at >> 2 >= words:
-            raise WireError(f'the message ends before the number of its elements, at byte {at}')
-        count = self._scalars[at >> 2]
-        if count > words:
-            raise WireError(f'the message cannot hold {count} elements')
-        return count, at + 4
-
-    def _find(self, start: int) -> Walk:
-        """Find the elements and their fields."""
-        begins_with_text = [step.kind for step in self._element[:2]] == [Numbers, Text]
-        if self.count >= _MANY and begins_with_text:
-            walk = self._find_at_once(start)
-            if walk is not None:
-                return walk
-        starts, at = [], start
+    def _walk_one_by_one(self, at: int, gaps: list[tuple[int, int]]) -> int:
+        """Find the fields of the elements; tell where the last one ends."""
         for number in range(self.count):
-            starts.append(at)
             try:
-                at = skip(self._scalars, at, self._element)
+                at = walk(self._scalars, at, self._element, self._one_by_one, gaps)
             except WireError as error:
                 raise WireError(f'element {number}: {error}') from None
-        return Walk(self._lengths, np.array(starts, np.int64), self._element)
+            self._one_by_one[ENDS].append(at)
+        return at
 
-    def _find_at_once(self, start: int) -> Walk | None:
+    def _walk_at_once(self, start: int) -> int | None:
         """
-        Find elements of which each has the same first string as the first one; or give up.
+        Find the fields of elements that all have the first string of the first one; or give up.
 
         Wherever that string is, an element may start. That they do start there is certain if each
         ends where the next one starts.
         """
         starts = self._likely_starts(start)
-        if len(starts) != self.count:
+        if len(starts) != self.count or starts[0] != start + 3 & -4:
             return None
+        found: dict[str, IntArray] = {}
+        gaps: list[tuple[IntArray, IntArray]] = []
         try:
-            walk = Walk(self._lengths, starts, self._element)
-        except IndexError:
+            ends = walk_all(self._lengths, starts, self._element, found, gaps)
+        except (IndexError, UnevenError):
             return None
-        chained = (walk.end[:-1] + 3 & -4 == starts[1:]).all() and starts[0] == start + 3 & -4
-        return walk if chained and not walk.has_empty_string else None
+        if (ends[:-1] + 3 & -4 != starts[1:]).any():
+            return None
+        found[ENDS] = ends
+        self._at_once = found
+        before, after = (np.concatenate(each) for each in zip(*gaps, strict=True))
+        before, after = np.append(before, ends[:-1]), np.append(after, starts[1:])
+        self.words[before >> 2] &= _KEPT[before & 3]
+        # Alignment to eight bytes may leave a word free besides.
+        self.words[(after[after - before >= 4] >> 2) - 1] = 0
+        return int(ends[-1])
 
     def _likely_starts(self, start: int) -> IntArray:
         """List where the first string of the first element is again, and the length behind it."""
+        if [step.kind for step in self._element[:2]] != [Numbers, Text]:
+            return np.array([], np.int64)
         before, _, behind = self._element[:3]
         first = (start + 3 >> 2) + before.length // 4
         words = self._lengths
@@ -530,15 +500,45 @@ class Elements:
             places = places[words[places + mark] == words[first + mark]]
         return 4 * places - before.length
 
-    def _tidy(self, order: str, header: Sequence[Step], header_end: int, many: bool) -> None:
-        """Make the copy little-endian, with zeros between its fields and behind its end."""
-        if order == '>':
-            body = self.words.view(np.uint8)
-            Walk(self._lengths, np.zeros(1, np.int64), header).byteswap(body)
-            self.walk.byteswap(body)
-            if many:
-                _swap(body, 4, np.array([4 * self.header_words]))
-        self._buffer[ENCAPSULATION:BODY] = LITTLE_ENDIAN
-        self.words[header_end >> 2] &= _KEPT[header_end & 3]
-        self.walk.blank(self.words)
-        self.words[self.end + 3 >> 2 :] = 0
+    def _byteswap(
+        self, header: Sequence[Step], element: Sequence[Step], many: bool, tail: Sequence[Step]
+    ) -> None:
+        """Turn the numbers of the message from big-endian to little-endian."""
+        words = memoryview(self._lengths.byteswap().data)
+        found: Found = defaultdict(list)
+        at = walk(words, 0, header, found, [])
+        counts_at = [at + 3 & -4] if many else []
+        count, at = _count(words, at) if many else (1, at)
+        for _ in range(count):
+            at = walk(words, at, element, found, [])
+        at = walk(words, at, tail, found, [])
+        if at > 4 * len(self.words) - 8:
+            raise WireError(f'the content ends at byte {at}, behind the end of the message')
+        body = self.words.view(np.uint8)
+        _swap(body, 4, np.array(counts_at, np.int64))
+        for step in _flat([*header, *element, *tail]):
+            starts, length = np.array(found[step.path], np.int64), step.length
+            if step.kind is Array and step.size > 1:
+                for start in starts.tolist():
+                    first = start + 4 + step.size - 1 & -step.size
+                    end = first + words[start >> 2] * length
+                    _swap(body, step.size, np.arange(first, end, step.size))
+            if step.kind is Numbers:
+                starts = (starts[:, None] + np.arange(0, length, step.size)).ravel()
+            _swap(body, step.size if step.kind is Numbers else 4, starts)
+
+
+def _flat(steps: Sequence[Step]) -> Iterator[Step]:
+    """List steps and those inside them."""
+    for step in steps:
+        yield step
+        yield from _flat(step.inner)
+
+
+def _count(words: memoryview, at: int) -> tuple[int, int]:
+    """Read how many elements a message has, and where they start."""
+    at = at + 3 & -4
+    if at >> 2 >= len(words):
+        raise WireError(f'the message ends before the number of its elements, at byte {at}')
+    _check_count(words, words[at >> 2], 'number of elements')
+    return words[at >> 2], at + 4

@@ -18,6 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from obbhbb_ros.wire.cdr import ENDS
 from obbhbb_ros.wire.cdr import LITTLE_ENDIAN
 from obbhbb_ros.wire.cdr import Elements
 from obbhbb_ros.wire.cdr import IntArray
@@ -85,9 +86,8 @@ class Detections:
             self.polygons = _polygons(message, input_type)
             data = _as_detections(message)
         self._message = message = Elements(data, _HEADER, _DETECTION)
-        self._hypotheses = message.walk.elements[_RESULTS]
         self._numbers = message.words.view(np.float64)
-        self._boxes_at = (message.walk.found[_BOX] >> 3) + _XYWHR
+        self._boxes_at = (message.places(_BOX) >> 3) + _XYWHR
         self._best: tuple[IntArray, FloatArray] | None = None
 
     def __len__(self) -> int:
@@ -226,15 +226,25 @@ class Detections:
         self._numbers[boxes_at[:4]] = xywh.T
         self._numbers[boxes_at[4]] = 0.0
 
+    def _hypotheses(self) -> tuple[IntArray, IntArray]:
+        """Count the hypotheses of each detection, and those before its first one."""
+        counts = self._message.words[self._message.places(_RESULTS) >> 2].astype(np.int64)
+        return counts, counts.cumsum() - counts
+
     def _best_hypotheses(self) -> tuple[IntArray, FloatArray]:
         """Find where the class of each best hypothesis lies, 0 for none, and its score."""
         if self._best is None:
             at, scores = np.zeros(len(self), np.int64), np.full(len(self), np.nan)
-            for rows, walk in self._hypotheses:
-                mine, best = self._numbers[walk.found[_SCORE] >> 3], scores[rows]
+            classes_at = self._message.places(_CLASS)
+            all_scores = self._numbers[self._message.places(_SCORE) >> 3]
+            counts, firsts = self._hypotheses()
+            for number in range(counts.max(initial=0)):
+                rows = np.flatnonzero(counts > number)
+                each = firsts[rows] + number
+                mine, best = all_scores[each], scores[rows]
                 # NaN is less than any number.
-                better = (mine > best) | (np.isnan(best) & ~np.isnan(mine)) | (at[rows] == 0)
-                at[rows] = np.where(better, walk.found[_CLASS], at[rows])
+                better = (mine > best) | (np.isnan(best) & ~np.isnan(mine)) | (number == 0)
+                at[rows] = np.where(better, classes_at[each], at[rows])
                 scores[rows] = np.where(better, mine, best)
             self._best = at, scores
         return self._best
@@ -249,16 +259,16 @@ class Detections:
             Bytes: start, number of results, end of what precedes the first number of eight bytes,
             that number, box, id, and end.
         """
-        walk = self._message.walk
-        fields_end, first = walk.ends[_BOX] + 3 & -4, walk.found[_BOX]
-        if self._hypotheses:
-            rows, hypotheses = self._hypotheses[0]
-            fields_end[rows] = hypotheses.ends[_SCORE] + 3 & -4
-            first = first.copy()
-            first[rows] = hypotheses.found[_SCORE]
+        places = self._message.places
+        results, box = places(_RESULTS), places(_BOX)
+        fields_end, first = results + 4, box.copy()
+        counts, firsts = self._hypotheses()
+        (rows,) = counts.nonzero()
+        classes_at = places(_CLASS)[firsts[rows]]
+        fields_end[rows] = classes_at + self._message.words[classes_at >> 2] + 7 & -4
+        first[rows] = places(_SCORE)[firsts[rows]]
         return np.stack((
-            walk.found[_START], walk.found[_RESULTS], fields_end, first, walk.found[_BOX],
-            walk.found[_ID], walk.end,
+            places(_START), results, fields_end, first, box, places(_ID), places(ENDS)
         ))
 
 
@@ -337,7 +347,7 @@ def _polygons(message: Elements, input_type: InputType) -> list[FloatArray]:
     """Read the vertices of each polygon, (K, 2)."""
     (step,) = _ELEMENTS[input_type.name]
     numbers = message.words.view(f'<f{step.size}')
-    at = message.walk.found[input_type.points]
+    at = message.places(input_type.points)
     counts = message.words[at >> 2].tolist()
     firsts = ((at + 4 + step.size - 1 & -step.size) // step.size).tolist()
     width = step.length // step.size
