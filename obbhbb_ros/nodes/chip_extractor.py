@@ -109,11 +109,11 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         )
 
     def _forget(self) -> None:
-        """Let go what waits for a partner."""
+        """Drop the images and plans that wait for each other."""
         self._pairing.clear()
 
     def _facts(self) -> dict[str, str]:
-        """Tell what waits, and what the link has left."""
+        """Report what is waiting, and the bytes that the link has left."""
         settings = self._settings()
         self._pairing.expire(time.monotonic(), settings.pairing)
         waiting = self._pairing.waiting(_REGIONS)
@@ -124,7 +124,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         }
 
     def _settings(self) -> ChipSettings:
-        """Give the settings in force, and have the link's budget follow them."""
+        """Return the settings in force, and update the budget of the link."""
         settings = self._parameters_in_force.settings
         if settings.budget != self._budget:
             self._bucket.change(settings.budget, time.monotonic())

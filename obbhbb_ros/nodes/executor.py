@@ -23,7 +23,7 @@ from obbhbb_ros.nodes import internals
 
 
 class UnknownRclpyError(RuntimeError):
-    """An rclpy that the executor does not know; the text says what it lacks."""
+    """The installed rclpy lacks something that the executor needs; the text says what."""
 
 
 class ExpressExecutor(SingleThreadedExecutor):
@@ -59,7 +59,7 @@ class ExpressExecutor(SingleThreadedExecutor):
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """
-        Wait for anything to be ready and see to it.
+        Wait until something is ready, and handle it.
 
         Parameters
         ----------
@@ -83,7 +83,7 @@ class ExpressExecutor(SingleThreadedExecutor):
         return ended
 
     def _spin_base(self, timeout_sec: float | None) -> None:
-        """Have the base class see to one thing."""
+        """Let the base class handle one thing."""
         try:
             handler, _, _ = self.wait_for_ready_callbacks(timeout_sec)
         except (TimeoutException, ShutdownException):
@@ -93,7 +93,7 @@ class ExpressExecutor(SingleThreadedExecutor):
         handler.result()
 
     def _spin_express(self, wait_set: internals.KeptWaitSet, timeout_sec: float | None) -> None:
-        """Wait; hand over a message of each subscription that has one."""
+        """Wait, then handle one message of each subscription that has one."""
         ready = wait_set.wait(timeout_sec)
         if not self.context.ok():
             raise ExternalShutdownException

@@ -2,7 +2,7 @@
 """
 What rclpy keeps to itself and the nodes use all the same; no other module does.
 
-Written for rclpy 7 (Jazzy). `missing` tells what another release does not have.
+Written for rclpy 7 (Jazzy). `missing` lists what another release lacks.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def missing(executor: Executor) -> list[str]:
 
 
 def has_tasks(executor: Executor) -> bool:
-    """Tell whether an executor has coroutines in progress."""
+    """Return whether an executor has coroutines in progress."""
     # Those that are done stay in its list until it waits again.
     return any(not task.done() for task, _, _ in executor._tasks)
 
@@ -98,18 +98,18 @@ class KeptWaitSet:
         return ready
 
     def others_ready(self) -> bool:
-        """Tell whether anything but subscriptions was ready after the wait."""
+        """Return whether anything but subscriptions was ready after the wait."""
         return any(map(self._wait_set.get_ready_entities, self._others)) or any(
             waitable.is_ready(self._wait_set) for waitable in self._waitables
         )
 
     def close(self) -> None:
-        """Let go what was waited for."""
+        """Release the entities."""
         self._stack.close()
 
 
 def pointer(subscription: Any) -> int:
-    """Give what `KeptWaitSet.wait` knows a subscription by."""
+    """Return what `KeptWaitSet.wait` knows a subscription by."""
     number: int = subscription.handle.pointer
     return number
 
@@ -122,13 +122,13 @@ def take(subscription: Any) -> Any:
 
 
 def parameters_given(node: Node) -> Mapping[str, Parameter]:
-    """Give the parameters of YAML files and command line, declared or not."""
+    """Return the parameters of YAML files and command line, declared or not."""
     overrides: Mapping[str, Parameter] = node._parameter_overrides
     return overrides
 
 
 def state_label(node: LifecycleNode) -> str:
-    """Give the lifecycle state of a node."""
+    """Return the lifecycle state of a node."""
     label: str = node._state_machine.current_state[1]
     return label
 

@@ -37,7 +37,7 @@ _WARN_PERIOD = 5.0
 
 def message_type(input_type: InputType) -> Any:
     """
-    Give the message class of an input type.
+    Return the message class of an input type.
 
     Raises
     ------
@@ -51,7 +51,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
     """
     Base of the managed nodes.
 
-    A node creates its topics in `_create_topics` and forgets what it has gathered in `_forget`;
+    A node creates its topics in `_create_topics` and drops its collected data in `_forget`;
     it calls `_autostart` at the end of its own `__init__`.
 
     Parameters
@@ -93,10 +93,10 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         """Create publishers by `_output` and subscriptions by `_input`."""
 
     def _forget(self) -> None:
-        """Drop what was gathered from the topics, which are gone."""
+        """Drop what was collected from the topics."""
 
     def _facts(self) -> dict[str, str]:
-        """Tell what the diagnostics say besides counters."""
+        """Return what the diagnostics report besides counters."""
         return {}
 
     def _autostart(self) -> None:
@@ -117,7 +117,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
                 raise StartError(f'{self.get_name()} failed to {name}; the log says why')
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Create the topics; messages are not looked at before activation."""
+        """Create the topics; messages are ignored until activation."""
         try:
             self._create_topics()
             self._diagnostics_publisher = self.create_publisher(DiagnosticArray, '/diagnostics', 1)
@@ -129,29 +129,29 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to work."""
+        """Start working."""
         self._active = True
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop working; what arrives is counted and dropped."""
+        """Stop working; incoming messages are counted and dropped."""
         self._active = False
         self._forget()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give every topic back."""
+        """Remove every topic."""
         self._release()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give every topic back, from whatever state."""
+        """Remove every topic, from any state."""
         self._active = False
         self._release()
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start over: give every topic back and be unconfigured."""
+        """Remove every topic and be unconfigured again."""
         self.get_logger().error(f'error in state {state.label}, going back to unconfigured')
         self._active = False
         self._release()
@@ -159,7 +159,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
 
     @property
     def express_subscriptions(self) -> Sequence[Any]:
-        """The subscriptions whose messages the executor hands over by the short way, in order."""
+        """The subscriptions that the executor serves the short way, in this order."""
         return self._inputs
 
     def _output(self, message_type: Any, topic: str, depth: int = _DEPTH) -> Any:
@@ -197,7 +197,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         return subscription
 
     def _release(self) -> None:
-        """Destroy what there is of topics and timer."""
+        """Destroy topics and timer."""
         if self._timer is not None:
             self.destroy_timer(self._timer)
         for subscription in self._inputs:
@@ -211,7 +211,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         self._forget()
 
     def _on_message_lost(self, subscription: Any, status: Any) -> None:
-        """Count what the middleware could not deliver, and tell what to do about it."""
+        """Count messages that the middleware lost, and say how to avoid it."""
         self._monitor.add('messages_lost', status.total_count_change)
         topic = subscription.topic_name
         self._warn(
@@ -223,7 +223,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         )
 
     def _drop_unreadable(self, data: bytes, subscription: Any, error: Exception) -> None:
-        """Count a message that cannot be read as what it should be."""
+        """Count and report a message that cannot be read."""
         self._monitor.add('messages_unreadable')
         self._warn(
             'unreadable message',
@@ -232,7 +232,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         )
 
     def _warn(self, kind: str, text: str) -> None:
-        """Warn in the next diagnostics and, each kind at a rate that can be read, in the log."""
+        """Warn in the next diagnostics and in the log, there at most every 5 s for each kind."""
         self._monitor.trouble(text)
         now = time.monotonic()
         if now >= self._silent_until.get(kind, now):
@@ -240,14 +240,14 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
             self.get_logger().warning(text)
 
     def _warn_of_unknown_parameters(self) -> None:
-        """Tell what a parameter file sets in vain."""
+        """Warn of parameters that were given and do not exist."""
         unknown = self._parameters_in_force.unknown
         unknown = [name for name in unknown if not name.startswith('qos_overrides.')]
         if unknown:
             self.get_logger().warning('unknown parameters, ignored: ' + ', '.join(unknown))
 
     def _publish_diagnostics(self) -> None:
-        """Tell how things are."""
+        """Publish the state, counters and parameters."""
         state = internals.state_label(self)
         values: Mapping[str, Any] = self._parameters_in_force.notable_values()
         report = self._monitor.report(state, values, self._facts())

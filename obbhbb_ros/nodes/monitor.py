@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node tells of itself: counters, rates, latency percentiles, parameters in force."""
+"""What a node reports: counters, rates, latency percentiles, parameters in force."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ class ObbToHbb(ManagedNode[Settings]):
         self._monitor.took(time.perf_counter() - started)
 
     def _image_size(self, settings: Settings) -> tuple[int, int] | None:
-        """Give the size of the image; warn and give None if it is not known."""
+        """Return the size of the image; warn and give None if it is not known."""
         width, height = (
             given or seen
             for given, seen in zip(settings.image_size, self._camera_size, strict=True)
@@ -121,5 +121,5 @@ class ObbToHbb(ManagedNode[Settings]):
 
 
 def _wanted(publisher: Any) -> bool:
-    """Tell whether a topic has a subscriber."""
+    """Return whether a topic has a subscriber."""
     return bool(publisher.get_subscription_count())

@@ -86,7 +86,7 @@ class LiveParameters(Generic[SettingsT]):
         return {name: self._node.get_parameter(name).value for name in self._declared}
 
     def notable_values(self) -> Values:
-        """Give the values worth reporting: parameters of a class only where they were set."""
+        """Return the values worth reporting: parameters of a class only where they were set."""
         always = self._table.parameters()
         return {
             name: value for name, value in self.values().items()

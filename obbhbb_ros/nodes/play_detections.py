@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A player: publishes label files as detections, so that anyone can try the node."""
+"""A player: publishes label files as detections, to try the nodes without a detector."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ class PlayDetections(Node):
         self._timer = self.create_timer(_POLL_PERIOD, self._begin)
 
     def _output(self, message_class: Any, topic: str, depth: int = 100) -> Any:
-        """Create a publisher that keeps what a slow reader has not had yet."""
+        """Create a reliable publisher."""
         return self.create_publisher(
             message_class,
             topic,
@@ -163,7 +163,7 @@ class PlayDetections(Node):
         )
 
     def _read(self, values: Mapping[str, Any]) -> Iterator[ImageLabels]:
-        """Read the labels; what is malformed is reported, counted and left out."""
+        """Read the labels; malformed records are reported, counted and left out."""
         size = (values['image_width'], values['image_height'])
         if values['path']:
             yield from read_labels(
@@ -177,12 +177,12 @@ class PlayDetections(Node):
                 yield from read_labels(path, image_size=HARBOUR_SIZE)
 
     def _skip(self, error: LabelError) -> None:
-        """Tell of a record that cannot be read."""
+        """Log and count a malformed record."""
         self._skipped += 1
         self.get_logger().error(f'skipped: {error}')
 
     def _begin(self) -> None:
-        """Wait for somebody to listen, then play."""
+        """Wait for the subscribers, then play."""
         if self._publisher.get_subscription_count() < self._wanted:
             self.get_logger().info(
                 f'waiting for {self._wanted} subscriber(s) of {self._publisher.topic_name}',
@@ -196,11 +196,7 @@ class PlayDetections(Node):
         self._play_next()
 
     def _everybody_is_connected(self) -> bool:
-        """
-        Tell whether all who are heard of are connected, and nobody new has come for a while.
-
-        The other end of a connection may be made a little later than ours.
-        """
+        """Return whether all known subscribers have been connected for a while, with none new."""
         publishers = (self._publisher, self._camera_publisher, self._image_publisher)
         counts = [publisher.get_subscription_count() for publisher in publishers]
         known = [self.count_subscribers(publisher.topic_name) for publisher in publishers]
@@ -230,11 +226,11 @@ class PlayDetections(Node):
             self._camera_publisher.publish(CameraInfo(header=header, width=width, height=height))
         if image:
             self._image_publisher.publish(image)
-        for message in self._messages(labels, header):
+        for message in _MESSAGES[self._output_type.name](labels, header):
             self._publisher.publish(message)
 
     def _image(self, file: Path | None, header: Header) -> Image | None:
-        """Read an image that is wanted; None if it is not, or cannot be read."""
+        """Read an image; None if it is not wanted or cannot be read."""
         if not self._parameters_in_force.settings.images or file is None:
             return None
         try:
@@ -243,12 +239,8 @@ class PlayDetections(Node):
             self.get_logger().error(f'no image: {file}: {error}', throttle_duration_sec=5.0)
             return None
 
-    def _messages(self, labels: ImageLabels, header: Header) -> list[Any]:
-        """Write an image's labels in the type that was asked for."""
-        return _MESSAGES[self._output_type.name](labels, header)
-
     def _end(self) -> None:
-        """Leave when all is delivered."""
+        """End when everything is delivered."""
         self._publisher.wait_for_all_acked(Duration(seconds=5))
         self.get_logger().info(
             f'played {len(self._images)} images, skipped {self._skipped} malformed records'
@@ -258,20 +250,9 @@ class PlayDetections(Node):
 
 def detections_message(labels: ImageLabels, header: Header) -> Detection2DArray:
     """
-    Write an image's labels as oriented detections.
+    Write an image's labels as oriented detections, in the same order.
 
-    Parameters
-    ----------
-    labels : ImageLabels
-        The labels.
-    header : Header
-        Header of the message and of each detection.
-
-    Returns
-    -------
-    Detection2DArray
-        A detection a label, in the same order; its id is `image/instance`, the instance counted
-        where the labels do not name it.
+    The id is `image/instance`, the instance being an index where the labels do not name it.
     """
     boxes = OrientedBoxes.from_corners(labels.corners)
     rows = zip(
@@ -295,23 +276,7 @@ def detections_message(labels: ImageLabels, header: Header) -> Detection2DArray:
 
 
 def image_message(encoding: str, pixels: NDArray[Any], header: Header) -> Image:
-    """
-    Write an image.
-
-    Parameters
-    ----------
-    encoding : str
-        As in `sensor_msgs/Image`.
-    pixels : ndarray of uint8 or uint16, shape (H, W) or (H, W, C)
-        The pixels.
-    header : Header
-        Its header.
-
-    Returns
-    -------
-    Image
-        Rows without padding, little-endian.
-    """
+    """Write an image of uint8 or uint16 pixels, (H, W) or (H, W, C), little-endian."""
     height, width = pixels.shape[:2]
     # An array of bytes goes into the message as it is; anything else is checked byte by byte.
     data = array('B', pixels.astype(pixels.dtype.newbyteorder('<'), order='C').tobytes())

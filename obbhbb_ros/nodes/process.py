@@ -37,14 +37,14 @@ _REASONS = (ParameterException, StartError, ValueError, OSError)
 
 def run(make_node: Callable[[], Node], stop: Stop, args: Sequence[str] | None = None) -> int:
     """
-    Run a node until it is told to stop.
+    Run a node until SIGINT, SIGTERM or a shutdown.
 
     Parameters
     ----------
     make_node : callable
         Makes the node; may raise `StartError`, ValueError, OSError or ParameterException.
     stop : Stop
-        Tells of SIGINT and SIGTERM.
+        Receives SIGINT and SIGTERM.
     args : sequence of str, optional
         Command line, `sys.argv` by default.
 
@@ -116,7 +116,7 @@ def executor_for(node: Node) -> Executor:
 
 
 def spin(executor: Executor, node: Node, stop: Stop) -> None:
-    """Spin until told to stop; an error in a callback is logged and survived."""
+    """Spin until asked to stop; errors in callbacks are logged and survived."""
     # What lives by now lives to the end: a collection that looks through all of it takes 18 ms.
     gc.collect()
     gc.freeze()

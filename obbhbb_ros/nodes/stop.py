@@ -49,7 +49,7 @@ class Stop:
             self._wake = wake
 
     def _listen(self) -> None:
-        """Wait for the first signal, ask the process to end, and see to it that it does."""
+        """Wait for the first signal, ask the process to end, and make sure that it does."""
         signal.sigwait(SIGNALS)
         asked = time.monotonic()
         self._requested.set()
@@ -62,7 +62,7 @@ class Stop:
         self._leave()
 
     def _leave(self) -> None:
-        """Leave from whatever the process is in, and say what that is if it should have ended."""
+        """End the process at once; write its stacks if it should have ended by itself."""
         if self.patience <= STARTING:
             os._exit(0)
         # Without standard error its number is that of another file.

@@ -32,7 +32,7 @@ Words: TypeAlias = NDArray[np.uint32]
 ENCAPSULATION = 4
 LITTLE_ENDIAN = b'\x00\x01\x00\x00'
 _PLAIN = {b'\x00\x00': '>', b'\x00\x01': '<'}
-# A serializer pads to a multiple of four bytes, and the middleware what it is given.
+# Serializer and middleware may each pad to a multiple of four bytes.
 _MOST_PADDING = 6
 _NATIVE = '<' if sys.byteorder == 'little' else '>'
 # In a buffer four bytes lie before the encapsulation header, so that its body is aligned.
@@ -42,7 +42,7 @@ _KEPT = np.array([0xFFFFFFFF, 0xFF, 0xFFFF, 0xFFFFFF], np.uint32)
 
 
 class WireError(ValueError):
-    """Bytes that cannot be read as the message; the text says what is wrong and where."""
+    """The bytes are not such a message; the text says what is wrong and where."""
 
 
 class UnevenError(Exception):
@@ -211,7 +211,8 @@ def walk_all(
     Raises
     ------
     UnevenError
-        If they cannot be walked together: one is none, or sequences of structs differ in length.
+        If they cannot be walked together: a string has no closing zero, or sequences of structs
+        differ in length.
     IndexError
         If a length would lie behind the end.
     """
@@ -418,19 +419,19 @@ class Elements:
             end = self._walk_one_by_one(at, gaps)
         self.end = end
         _check_end(walk(self._scalars, end, tail, defaultdict(list), []), size)
-        # What writers leave between fields and behind the last one is whatever memory held.
+        # Between fields and behind the last one, writers leave whatever was in memory.
         gaps.append((end, len(self._buffer) - BODY))
         for start, stop in gaps:
             self._buffer[BODY + start : BODY + stop] = bytes(stop - start)
 
     def places(self, path: str) -> IntArray:
-        """Give the byte at which a field of each element starts; see `Found`."""
+        """Return the byte at which a field of each element starts; see `Found`."""
         if path in self._at_once:
             return self._at_once[path]
         return np.array(self._one_by_one[path], np.int64)
 
     def message(self) -> bytes:
-        """Give the message with what was written to `words`."""
+        """Return the message with what was written to `words`."""
         return bytes(memoryview(self._buffer)[ENCAPSULATION : BODY + self.end])
 
     def content(self, at: int) -> bytes:

@@ -138,7 +138,7 @@ class Detections:
 
     def rewrite(self, xywh: FloatArray, rows: Any = slice(None)) -> bytes:
         """
-        Give the message with axis-aligned boxes; all else is as it was.
+        Return the message with axis-aligned boxes; all else is as it was.
 
         The boxes of this object change as well.
 
@@ -159,7 +159,7 @@ class Detections:
 
     def selected(self, rows: IntArray, xywh: FloatArray) -> bytes:
         """
-        Give the message with some of its detections, in another order, with other boxes.
+        Return the message with some of its detections, in another order, with other boxes.
 
         The boxes of this object change as well.
 
@@ -182,7 +182,7 @@ class Detections:
 
     def joined(self, groups: Sequence[Sequence[int]], xywh: FloatArray) -> bytes:
         """
-        Give the message with one detection for each group of its detections.
+        Return the message with one detection for each group of its detections.
 
         The boxes of this object change as well.
 
@@ -251,7 +251,7 @@ class Detections:
 
     def _spans(self) -> IntArray:
         """
-        Tell where the parts of each detection lie.
+        Find the parts of each detection.
 
         Returns
         -------
@@ -299,8 +299,8 @@ class _Writer:
             return
         start, _, fields_end, first, _, _, unfilled = spans
         end = unfilled + 3 & -4
-        # From its first number of eight bytes on a detection is the same wherever it lies. What is
-        # before may lie at the other half of eight bytes than it did, with other padding.
+        # From its first number of eight bytes on, a detection is the same at every position. The
+        # fields before may start at the other half of eight bytes, with other padding behind them.
         half = np.concatenate(([self._end], (end - first)[:-1])) & 4
         padding = (half + fields_end - start) & 4
         self._end += int((fields_end - start + padding + end - first).sum())
@@ -337,7 +337,7 @@ class _Writer:
         self.add_bytes(size.to_bytes(4, 'little') + content + _PADDING[: 1 + self._filling])
 
     def message(self) -> bytes:
-        """Give the message."""
+        """Return the message."""
         if self._filling:
             self._chunks[-1] = self._chunks[-1][: -self._filling]
         return b''.join(self._chunks)
@@ -351,7 +351,7 @@ def _polygons(message: Elements, input_type: InputType) -> list[FloatArray]:
     counts = message.words[at >> 2].tolist()
     firsts = ((at + 4 + step.size - 1 & -step.size) // step.size).tolist()
     width = step.length // step.size
-    # A signalling NaN is told of when its precision changes.
+    # NumPy warns when it converts a signalling NaN.
     with np.errstate(invalid='ignore'):
         return [
             numbers[first : first + count * width].reshape(-1, width)[:, :2].astype(np.float64)
@@ -373,7 +373,7 @@ def _as_detections(message: Elements) -> bytes:
 
 def canonical(data: bytes) -> bytes:
     """
-    Give a message as the node writes it.
+    Return a message as the node writes it.
 
     Parameters
     ----------

@@ -369,15 +369,6 @@ def test_the_topics_of_a_page_are_those_of_the_security_policy(node: str) -> Non
         assert named == allowed
 
 
-def test_the_pages_state_the_defaults_of_the_node() -> None:
-    defaults = {spec.name: spec.default for spec in NODE_TABLES['obb_to_hbb'].rows}
-    (values,) = re.findall(r'^\| `q`, `f`, `s` \| ([^|]*) \|', text_of(README), re.M)
-    assert [float(each) for each in values.split(',')] == [defaults[name] for name in 'qfs']
-    rows = re.findall(r'^\| ([qfs]) \|.* \| (\S+) \|$', text_of(ROOT / 'doc' / 'method.md'), re.M)
-    assert {name: float(value) for name, value in rows} == {name: defaults[name] for name in 'qfs'}
-    assert f'| `method` | `{defaults["method"]}` |' in text_of(README)
-
-
 def test_the_topics_of_the_player_stand_in_its_code() -> None:
     page = text_of(ROOT / 'doc' / 'play_detections.md')
     code = text_of(ROOT / 'obbhbb_ros' / 'nodes' / 'play_detections.py')
