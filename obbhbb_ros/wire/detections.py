@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from functools import cached_property
 from math import nan
 from typing import Any
 from typing import TypeAlias
@@ -88,7 +89,6 @@ class Detections:
         self._message = message = Elements(data, _HEADER, _DETECTION)
         self._numbers = message.words.view(np.float64)
         self._boxes_at = (message.places(_BOX) >> 3) + _XYWHR
-        self._best: tuple[IntArray, FloatArray] | None = None
 
     def __len__(self) -> int:
         """Count the detections."""
@@ -119,7 +119,7 @@ class Detections:
         ndarray, shape (N,)
             Scores, NaN where there is no hypothesis.
         """
-        return self._best_hypotheses()[1]
+        return self._best_hypotheses[1]
 
     def class_ids(self) -> list[str]:
         """
@@ -130,7 +130,7 @@ class Detections:
         list of str
             N class ids, empty where there is no hypothesis. Bytes that are no UTF-8 are escaped.
         """
-        at, _ = self._best_hypotheses()
+        at, _ = self._best_hypotheses
         return [
             self._message.content(each).decode(errors='backslashreplace') if each else ''
             for each in at.tolist()
@@ -226,28 +226,30 @@ class Detections:
         self._numbers[boxes_at[:4]] = xywh.T
         self._numbers[boxes_at[4]] = 0.0
 
+    @cached_property
     def _hypotheses(self) -> tuple[IntArray, IntArray]:
-        """Count the hypotheses of each detection, and those before its first one."""
+        """How many hypotheses each detection has, and how many lie before its first one; (N,)."""
         counts = self._message.words[self._message.places(_RESULTS) >> 2].astype(np.int64)
         return counts, counts.cumsum() - counts
 
+    @cached_property
     def _best_hypotheses(self) -> tuple[IntArray, FloatArray]:
-        """Find where the class of each best hypothesis lies, 0 for none, and its score."""
-        if self._best is None:
-            at, scores = np.zeros(len(self), np.int64), np.full(len(self), np.nan)
-            classes_at = self._message.places(_CLASS)
-            all_scores = self._numbers[self._message.places(_SCORE) >> 3]
-            counts, firsts = self._hypotheses()
-            for number in range(counts.max(initial=0)):
-                rows = np.flatnonzero(counts > number)
-                each = firsts[rows] + number
-                mine, best = all_scores[each], scores[rows]
-                # NaN is less than any number.
-                better = (mine > best) | (np.isnan(best) & ~np.isnan(mine)) | (number == 0)
-                at[rows] = np.where(better, classes_at[each], at[rows])
-                scores[rows] = np.where(better, mine, best)
-            self._best = at, scores
-        return self._best
+        """Where the class of each best hypothesis lies, 0 for none, and its score; (N,)."""
+        classes_at = self._message.places(_CLASS)
+        all_scores = self._numbers[self._message.places(_SCORE) >> 3]
+        counts, firsts = self._hypotheses
+        if (counts == 1).all():
+            return classes_at, all_scores
+        at, scores = np.zeros(len(self), np.int64), np.full(len(self), np.nan)
+        for number in range(counts.max(initial=0)):
+            rows = np.flatnonzero(counts > number)
+            each = firsts[rows] + number
+            mine, best = all_scores[each], scores[rows]
+            # NaN is less than any number.
+            better = (mine > best) | (np.isnan(best) & ~np.isnan(mine)) | (number == 0)
+            at[rows] = np.where(better, classes_at[each], at[rows])
+            scores[rows] = np.where(better, mine, best)
+        return at, scores
 
     def _spans(self) -> IntArray:
         """
@@ -262,7 +264,7 @@ class Detections:
         places = self._message.places
         results, box = places(_RESULTS), places(_BOX)
         fields_end, first = results + 4, box.copy()
-        counts, firsts = self._hypotheses()
+        counts, firsts = self._hypotheses
         (rows,) = counts.nonzero()
         classes_at = places(_CLASS)[firsts[rows]]
         fields_end[rows] = classes_at + self._message.words[classes_at >> 2] + 7 & -4
@@ -301,16 +303,16 @@ class _Writer:
         end = unfilled + 3 & -4
         # From its first number of eight bytes on, a detection is the same at every position. The
         # fields before may start at the other half of eight bytes, with other padding behind them.
-        half = np.concatenate(([self._end], (end - first)[:-1])) & 4
-        padding = (half + fields_end - start) & 4
-        self._end += int((fields_end - start + padding + end - first).sum())
+        before, behind = fields_end - start, end - first
+        padding = (np.concatenate(([self._end], behind[:-1])) + before) & 4
+        self._end += int((before + padding + behind).sum())
         self._filling = int(end[-1] - unfilled[-1])
-        moved = half != start & 4
+        moved = padding != first - fields_end
         zeros = np.full_like(start, len(self._raw) - 8)
-        starts = np.stack((start, zeros, first), axis=1).ravel()
-        stops = np.stack((
+        starts = np.array((start, zeros, first)).T
+        stops = np.array((
             np.where(moved, fields_end, end), zeros + padding * moved, np.where(moved, end, first)
-        ), axis=1).ravel()
+        )).T
         pieces = stops > starts
         self._chunks += [
             self._raw[i:j]
