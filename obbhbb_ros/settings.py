@@ -10,6 +10,7 @@ validated as a whole before any is applied: a set that is rejected changes nothi
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Mapping
@@ -214,8 +215,8 @@ def read_values(path: Path, node: str) -> Values:
     Returns
     -------
     dict of str to value
-        Values by parameter name, of the sections `/**`, the name of the node with and without
-        its namespace; a later section wins.
+        Values by parameter name, of all sections whose name fits; `*` stands for one part of a
+        name, `**` for any number of them. A later section wins.
 
     Raises
     ------
@@ -238,9 +239,10 @@ def read_values(path: Path, node: str) -> Values:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ValueError(f'{path}: {error}') from None
     values: Values = {}
-    names = {'/**', '/' + node.rpartition('/')[2], node.rpartition('/')[2], node}
     for name, section in document.items() if isinstance(document, dict) else ():
-        if name in names:
+        pattern = re.escape(f'/{str(name).lstrip("/")}')
+        pattern = pattern.replace(r'/\*\*', '(/[^/]+)*').replace(r'\*', '[^/]+')
+        if re.fullmatch(pattern, node):
             if not isinstance(section, dict) or 'ros__parameters' not in section:
                 raise ValueError(f'{path}: no ros__parameters in {name}')
             values.update(_flattened(section['ros__parameters']))

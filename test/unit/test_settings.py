@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameter files are checked and used without ROS, as the nodes check and use them."""
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from obbhbb_ros.converter import HullRule
+from obbhbb_ros.settings import CHIP_EXTRACTOR
+from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings import read_values
+
+CONFIG = Path(__file__).parents[2] / 'config'
+NESTED = """
+/**:
+  ros__parameters:
+    q: 2.5
+    crop:
+      padding: 0.25
+payload/obb_to_hbb:
+  ros__parameters:
+    class_ids: [ship, tug]
+    classes.tug.method: outer
+/payload/obb_to_hbb:
+  ros__parameters:
+    q: 4.0
+other:
+  ros__parameters:
+    q: 9.0
+"""
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Write a parameter file."""
+
+    def write(text):
+        path = tmp_path / 'params.yaml'
+        path.write_text(text, encoding='utf-8')
+        return path
+
+    return write
+
+
+def test_a_file_gives_the_settings_of_the_node(written) -> None:
+    values = read_values(written(NESTED), '/payload/obb_to_hbb')
+    settings = OBB_TO_HBB.settings(values)
+    assert settings.rules[0] == HullRule(q=4.0)
+    assert settings.crop.padding == 0.25
+    assert settings.rules[settings.rule_of_class['tug']] == HullRule('outer', q=4.0)
+
+
+def test_sections_of_other_nodes_are_ignored(written) -> None:
+    assert read_values(written(NESTED), '/elsewhere/obb_to_hbb')['q'] == 2.5
+    assert read_values(written(NESTED), '/other')['q'] == 9.0
+
+
+@pytest.mark.parametrize(
+    ('section', 'applies'),
+    [
+        ('/a/b/obb_to_hbb', True), ('a/b/obb_to_hbb', True), ('/a/*/obb_to_hbb', True),
+        ('/**/obb_to_hbb', True), ('/a/**', True), ('/*/obb_to_hbb', False), ('obb_to_hbb', False),
+        ('/a/b', False),
+    ],
+)
+def test_a_section_applies_to_the_nodes_that_its_name_fits(written, section, applies) -> None:
+    others = '/**: {ros__parameters: {s: 1.5}}'
+    path = written(f'{others}\n{section}: {{ros__parameters: {{q: 5.0}}}}')
+    assert ('q' in read_values(path, '/a/b/obb_to_hbb')) == applies
+
+
+@pytest.mark.parametrize(
+    ('text', 'reason'),
+    [
+        ('q: 2.0', 'no parameters for /obb_to_hbb'),
+        ('', 'no parameters for /obb_to_hbb'),
+        ('[1, 2', 'params.yaml'),
+        ('/**:\n  q: 2.0', r'no ros__parameters in /\*\*'),
+    ],
+)
+def test_what_is_no_parameter_file_is_an_error_that_names_it(written, text, reason) -> None:
+    path = written(text)
+    with pytest.raises(ValueError, match=reason) as error:
+        read_values(path, '/obb_to_hbb')
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ('values', 'reason'),
+    [
+        ({'q': 0.5}, '^q must be 1 to inf, not 0.5'),
+        ({'q': math.nan}, '^q must be'),
+        ({'q': 3}, '^q must be a double, not 3'),
+        ({'image_width': True}, '^image_width must be a int'),
+        ({'method': 'magic'}, '^method must be one of'),
+        ({'f': 0.0}, r'^f must be in \(0, 2\]'),
+        ({'crop.max_size': 8, 'crop.min_size': 9}, '^crop.max_size'),
+        ({'class_ids': ['a'], 'classes.a.q': 0.5}, '^classes.a.q must be in'),
+        ({'class_ids': [str(i) for i in range(257)]}, 'the maximum is 256'),
+    ],
+)
+def test_values_that_cannot_be_used_are_refused_by_name(values, reason) -> None:
+    with pytest.raises(ValueError, match=reason):
+        OBB_TO_HBB.settings(values)
+
+
+def test_settings_of_the_chip_node_are_checked_together() -> None:
+    with pytest.raises(ValueError, match='lossless'):
+        CHIP_EXTRACTOR.settings({'codec': 'jpeg', 'lossless': True})
+
+
+def test_no_ros_is_imported() -> None:
+    code = (
+        'import sys, obbhbb_ros.pipeline, obbhbb_ros.settings, obbhbb_ros.wire.image\n'
+        'print([name for name in sys.modules if name.startswith(("rclpy", "rcl_", "rosidl"))])'
+    )
+    printed = subprocess.run([sys.executable, '-c', code], check=True, capture_output=True)
+    assert printed.stdout.strip() == b'[]'
