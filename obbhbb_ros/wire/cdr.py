@@ -341,12 +341,15 @@ class Message:
         return bytes(self.octets(path)[:-1]).decode(errors='backslashreplace')
 
 
-# From this many elements on it is faster to look for all of them at once.
+# From this many elements on it is faster to find the fields of all together.
 _MANY = 32
-# Path of the byte behind each element, for `Elements.places`.
-ENDS = ''
 # Words of a string that are compared when looking for it.
 _MOST_WORDS = 4
+# Path of the byte behind each element, for `Elements.places`.
+ENDS = ''
+_Tree: TypeAlias = dict[int, Any]
+"""By the length at `_OFFSET` bytes from the start of an element, another tree, or its size."""
+_OFFSET = -1
 
 
 class Elements:
@@ -424,6 +427,26 @@ class Elements:
         for start, stop in gaps:
             self._buffer[BODY + start : BODY + stop] = bytes(stop - start)
 
+    @classmethod
+    def blank(cls, header: Words, count: int, words: int) -> Elements:
+        """Make a message with a header and room for elements; `found` tells where they are."""
+        new = cls.__new__(cls)
+        new.count, new.header_words = count, len(header)
+        size = ENCAPSULATION + 4 * (len(header) + 1 + words)
+        new._buffer = bytearray(size + (-size & 7) + 2 * BODY)
+        new._buffer[ENCAPSULATION:BODY] = LITTLE_ENDIAN
+        new.words = np.frombuffer(new._buffer, '<u4', offset=BODY)
+        new.words[: len(header)] = header
+        new.words[len(header)] = count
+        new.end = 4 * (len(header) + 1)
+        return new
+
+    def found(self, places: dict[str, IntArray]) -> None:
+        """Take in where the fields of the elements are."""
+        self._at_once = places
+        if self.count:
+            self.end = int(places[ENDS][-1])
+
     def places(self, path: str) -> IntArray:
         """Return the byte at which a field of each element starts; see `Found`."""
         if path in self._at_once:
@@ -448,31 +471,29 @@ class Elements:
     def _walk_one_by_one(self, at: int, gaps: list[tuple[int, int]]) -> int:
         """Find the fields of the elements; tell where the last one ends."""
         for number in range(self.count):
-            try:
-                at = walk(self._scalars, at, self._element, self._one_by_one, gaps)
-            except WireError as error:
-                raise WireError(f'element {number}: {error}') from None
+            at = self._walk_element(number, at, self._one_by_one, gaps)
             self._one_by_one[ENDS].append(at)
         return at
 
     def _walk_at_once(self, start: int) -> int | None:
-        """
-        Find the fields of elements that all have the first string of the first one; or give up.
-
-        Wherever that string is, an element may start. That they do start there is certain if each
-        ends where the next one starts.
-        """
-        starts = self._likely_starts(start)
-        if len(starts) != self.count or starts[0] != start + 3 & -4:
-            return None
+        """Find the fields of all elements together; None if sequences in them differ in length."""
         found: dict[str, IntArray] = {}
         gaps: list[tuple[IntArray, IntArray]] = []
         try:
+            starts = self._likely_starts(start)
             ends = walk_all(self._lengths, starts, self._element, found, gaps)
+            # That they do start there is certain if each ends where the next one starts.
+            if len(starts) != self.count or starts[0] != start + 3 & -4 or (
+                ends[:-1] + 3 & -4 != starts[1:]
+            ).any():
+                raise UnevenError
         except (IndexError, UnevenError):
-            return None
-        if (ends[:-1] + 3 & -4 != starts[1:]).any():
-            return None
+            gaps.clear()
+            starts = np.array(self._starts(start), np.int64)
+            try:
+                ends = walk_all(self._lengths, starts, self._element, found, gaps)
+            except UnevenError:
+                return None
         found[ENDS] = ends
         self._at_once = found
         before, after = (np.concatenate(each) for each in zip(*gaps, strict=True))
@@ -501,6 +522,35 @@ class Elements:
             places = places[words[places + mark] == words[first + mark]]
         return 4 * places - before.length
 
+    def _starts(self, at: int) -> list[int]:
+        """Find where elements start; one with the lengths of an earlier one is not walked over."""
+        words, starts = self._scalars, []
+        # For starts at an even and at an odd word: a tree that leads by lengths to the size.
+        trees: tuple[_Tree, _Tree] = ({}, {})
+        for number in range(self.count):
+            at = at + 3 & -4
+            starts.append(at)
+            node: Any = trees[at >> 2 & 1]
+            try:
+                while type(node) is dict:
+                    node = node[words[at + node[_OFFSET] >> 2]]
+                at += node
+            except (IndexError, KeyError):
+                found: Found = defaultdict(list)
+                end = self._walk_element(number, at, found, [])
+                _learn(trees[at >> 2 & 1], words, self._element, at, end, found)
+                at = end
+        return starts
+
+    def _walk_element(
+        self, number: int, at: int, found: Found, gaps: list[tuple[int, int]]
+    ) -> int:
+        """Go over one element; an error names it."""
+        try:
+            return walk(self._scalars, at, self._element, found, gaps)
+        except WireError as error:
+            raise WireError(f'element {number}: {error}') from None
+
     def _byteswap(
         self, header: Sequence[Step], element: Sequence[Step], many: bool, tail: Sequence[Step]
     ) -> None:
@@ -527,6 +577,20 @@ class Elements:
             if step.kind is Numbers:
                 starts = (starts[:, None] + np.arange(0, length, step.size)).ravel()
             _swap(body, step.size if step.kind is Numbers else 4, starts)
+
+
+def _learn(
+    tree: _Tree, words: memoryview, steps: Sequence[Step], start: int, end: int, found: Found
+) -> None:
+    """Make a tree lead to the size of an element by its lengths."""
+    places = sorted(
+        at for step in _flat(steps) if step.kind is not Numbers for at in found[step.path]
+    )
+    for at in places[:-1]:
+        tree[_OFFSET] = at - start
+        tree = tree.setdefault(words[at >> 2], {})
+    tree[_OFFSET] = places[-1] - start
+    tree[words[places[-1] >> 2]] = end - start
 
 
 def _flat(steps: Sequence[Step]) -> Iterator[Step]:

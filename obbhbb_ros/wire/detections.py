@@ -9,7 +9,7 @@ untouched. Messages of other types are first written as a `Detection2DArray`.
 
 from __future__ import annotations
 
-import struct
+from collections.abc import Iterable
 from collections.abc import Sequence
 from functools import cached_property
 from math import nan
@@ -23,6 +23,7 @@ from obbhbb_ros.wire.cdr import ENDS
 from obbhbb_ros.wire.cdr import LITTLE_ENDIAN
 from obbhbb_ros.wire.cdr import Elements
 from obbhbb_ros.wire.cdr import IntArray
+from obbhbb_ros.wire.cdr import Words
 from obbhbb_ros.wire.cdr import steps_of
 from obbhbb_ros.wire.layouts import DETECTION_2D
 from obbhbb_ros.wire.layouts import HEADER
@@ -46,7 +47,11 @@ _ID = 'id'
 # In the message a box is x, y, theta, size x, size y; `OrientedBoxes` has theta last.
 _XYWHR = np.array([[0], [1], [3], [4], [2]])
 _BOX_BYTES = 8 * _XYWHR.size
-_NO_BOX = struct.pack('<5d', nan, nan, 0.0, nan, nan)
+# x, y, theta, size x, size y.
+_NO_BOX = np.array([[nan], [nan], [0.0], [nan], [nan]])
+# Score, pose with covariance.
+_HYPOTHESIS_WORDS = 88
+_ORIENTATION_W = 7
 _PADDING = bytes(8)
 # Rows of `Detections._spans`.
 _RESULTS_AT, _ID_AT = 1, 5
@@ -80,13 +85,12 @@ class Detections:
     def __init__(
         self, data: bytes, input_type: InputType = INPUT_TYPES['Detection2DArray']
     ) -> None:
-        self.polygons: list[FloatArray] | None = None
-        if input_type.points:
-            name = input_type.name
-            message = Elements(data, _HEADER, _ELEMENTS[name], input_type.many, _TAILS[name])
-            self.polygons = _polygons(message, input_type)
-            data = _as_detections(message)
-        self._message = message = Elements(data, _HEADER, _DETECTION)
+        name = input_type.name
+        message = Elements(data, _HEADER, _ELEMENTS[name], input_type.many, _TAILS[name])
+        self.polygons = _polygons(message, input_type) if input_type.points else None
+        if input_type.element is not DETECTION_2D:
+            message = _as_detections(message, input_type)
+        self._message = message
         self._numbers = message.words.view(np.float64)
         self._boxes_at = (message.places(_BOX) >> 3) + _XYWHR
 
@@ -361,16 +365,71 @@ def _polygons(message: Elements, input_type: InputType) -> list[FloatArray]:
         ]
 
 
-def _as_detections(message: Elements) -> bytes:
-    """Write a message's elements as detections without box, results and class."""
-    writer = _Writer(message, message.count)
-    for number in range(message.count):
-        writer.add(0, 4 * message.header_words)
-        writer.add_bytes(bytes(4))
-        writer.align()
-        writer.add_bytes(_NO_BOX)
-        writer.add_text(str(number).encode())
-    return writer.message()
+def _as_detections(message: Elements, input_type: InputType) -> Elements:
+    """Write a message's elements as detections; those without a class have no hypothesis."""
+    count, head, source = message.count, message.header_words, message.words
+    if input_type.id:
+        id_source, ids = source, message.places(input_type.id) >> 2
+    else:
+        id_source, ids = _texts(map(str, range(count)))
+    id_words = _words_of(id_source, ids)
+    has_class = bool(input_type.class_id)
+    classes = message.places(input_type.class_id) >> 2 if has_class else ids[:0]
+    class_words = _words_of(source, classes) if has_class else np.zeros_like(ids)
+    # In words: header, number of hypotheses and class; padding; numbers, that start at even words,
+    # as those of a hypothesis and a box are; id.
+    before = head + 1 + class_words
+    odd = np.concatenate(([head + 1], id_words[:-1])) + before & 1 if count else before
+    numbers_words = _HYPOTHESIS_WORDS * has_class + _BOX_BYTES // 4
+    size = before + odd + numbers_words + id_words
+    starts = head + 1 + size.cumsum() - size
+    numbers = starts + before + odd
+    boxes = numbers + _HYPOTHESIS_WORDS * has_class
+    written = Elements.blank(source[:head], count, int(size.sum()))
+    words, doubles = written.words, written.words.view(np.float64)
+    words[starts[:, None] + np.arange(head)] = source[:head]
+    words[starts + head] = has_class
+    _copy(words, starts + head + 1, source, classes, class_words)
+    _copy(words, boxes + _BOX_BYTES // 4, id_source, ids, id_words)
+    given = source.view(np.float64)
+    if has_class:
+        doubles[numbers >> 1] = given[message.places(input_type.score) >> 3]
+        # The orientation that a new message has: w is 1.
+        doubles[(numbers >> 1) + _ORIENTATION_W] = 1.0
+    box_numbers = (boxes >> 1) + np.arange(_XYWHR.size)[:, None]
+    if input_type.box:
+        doubles[box_numbers] = given[(message.places(input_type.box) >> 3)
+                                     + np.arange(_XYWHR.size)[:, None]]
+    else:
+        doubles[box_numbers] = _NO_BOX
+    id_at = 4 * boxes + _BOX_BYTES
+    written.found({
+        _START: 4 * starts, _RESULTS: 4 * (starts + head), _CLASS: 4 * (starts + head + 1),
+        _SCORE: 4 * numbers, _BOX: 4 * boxes, _ID: id_at, ENDS: id_at + 4 + words[id_at >> 2],
+    })
+    return written
+
+
+def _texts(texts: Iterable[str]) -> tuple[Words, IntArray]:
+    """Write strings; give the words, and at which word each starts."""
+    contents = [text.encode() + b'\0' for text in texts]
+    padded = [
+        len(each).to_bytes(4, 'little') + each + _PADDING[: -len(each) & 3] for each in contents
+    ]
+    sizes = np.array([len(each) // 4 for each in padded], np.int64)
+    return np.frombuffer(b''.join(padded), '<u4'), sizes.cumsum() - sizes
+
+
+def _words_of(source: Words, at: IntArray) -> IntArray:
+    """Count the words of strings that start at a word."""
+    return (source[at].astype(np.int64) + 7) >> 2
+
+
+def _copy(target: Words, to: IntArray, source: Words, at: IntArray, counts: IntArray) -> None:
+    """Copy pieces of words."""
+    if at.size:
+        step = np.arange(counts.sum()) - np.repeat(counts.cumsum() - counts, counts)
+        target[np.repeat(to, counts) + step] = source[np.repeat(at, counts) + step]
 
 
 def canonical(data: bytes) -> bytes:

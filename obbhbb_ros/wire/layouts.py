@@ -40,6 +40,27 @@ DETECTION_2D: Struct = {
     },
     'id': Text(),
 }
+YOLO_DETECTION: Struct = {
+    'class_id': _INT32,
+    'class_name': Text(),
+    'score': _FLOAT64,
+    'id': Text(),
+    'bbox': {
+        'center': {'position': {'x': _FLOAT64, 'y': _FLOAT64}, 'theta': _FLOAT64},
+        'size': {'x': _FLOAT64, 'y': _FLOAT64},
+    },
+    'bbox3d': {
+        'center': {'position': Numbers(8, 3), 'orientation': Numbers(8, 4)},
+        'size': Numbers(8, 3),
+        'frame_id': Text(),
+    },
+    'mask': {'height': _INT32, 'width': _INT32, 'data': Array(8, 2)},
+    'keypoints': {'data': Many({'id': _INT32, 'point': Numbers(8, 2), 'score': _FLOAT64})},
+    'keypoints3d': {
+        'data': Many({'id': _INT32, 'point': Numbers(8, 3), 'score': _FLOAT64}),
+        'frame_id': Text(),
+    },
+}
 POLYGON_2D: Struct = {'points': Array(8, 2)}
 POLYGON: Struct = {'polygon': {'points': Array(4, 3)}}
 
@@ -91,8 +112,11 @@ class InputType:
     tail : Struct
         What follows the detections.
     points : str
-        Path of the vertices, where a detection is a polygon; it has neither class nor score, and
-        its place in the message is its id.
+        Path of the vertices, where a detection is a polygon.
+    class_id, score, id, box : str
+        Paths of these fields; of the box, that of its first number: x, y, theta, size along theta
+        and across it. A detection without them has no hypothesis, its place in the message as
+        id, and no box but that around its vertices.
     """
 
     package: str
@@ -102,12 +126,24 @@ class InputType:
     many: bool = True
     tail: Struct = field(default_factory=dict)
     points: str = ''
+    class_id: str = ''
+    score: str = ''
+    id: str = ''
+    box: str = ''
 
 
 INPUT_TYPES: dict[str, InputType] = {
     each.name: each
     for each in (
-        InputType('vision_msgs', 'Detection2DArray', 'detections', DETECTION_2D),
+        InputType(
+            'vision_msgs', 'Detection2DArray', 'detections', DETECTION_2D,
+            class_id='results.hypothesis.class_id', score='results.hypothesis.score', id='id',
+            box='bbox.center.position.x',
+        ),
+        InputType(
+            'yolo_msgs', 'DetectionArray', 'detections', YOLO_DETECTION,
+            class_id='class_name', score='score', id='id', box='bbox.center.position.x',
+        ),
         InputType(
             'polygon_msgs', 'Polygon2DCollection', 'polygons', POLYGON_2D, points='points',
             tail={'colors': Array(4, 4)},
