@@ -18,9 +18,8 @@ from obbhbb_ros.labels import coco
 from obbhbb_ros.labels import csv_tables
 from obbhbb_ros.labels import dota
 from obbhbb_ros.labels import geojson
-from obbhbb_ros.labels import hrsc
 from obbhbb_ros.labels import shapefile
-from obbhbb_ros.labels import voc
+from obbhbb_ros.labels import xml_files
 from obbhbb_ros.labels import yolo
 from obbhbb_ros.labels.files import label_files
 from obbhbb_ros.labels.records import MIN_HULL_POINTS
@@ -43,8 +42,8 @@ _ALL = (
     yolo.UPRIGHT,
     csv_tables.CORNER_TABLE,
     csv_tables.WKT_TABLE,
-    hrsc.FORMAT,
-    voc.FORMAT,
+    xml_files.HRSC,
+    xml_files.VOC,
     coco.FORMAT,
     geojson.FORMAT,
     shapefile.FORMAT,
