@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import Defect
 from obbhbb_ros.boxes import OrientedBoxes
@@ -85,18 +84,7 @@ def convert_image(
     labels: ImageLabels, rule: HullRule, caps: Caps = NO_CAPS, diagnostics: bool = False
 ) -> tuple[ImageBoxes, dict[int, str]]:
     """
-    Convert the boxes of an image.
-
-    Parameters
-    ----------
-    labels : ImageLabels
-        N oriented boxes.
-    rule : HullRule
-        The rule.
-    caps : Caps
-        Limits of the result.
-    diagnostics : bool
-        Whether to keep how each box was computed.
+    Convert the boxes of an image, and keep how each was computed if `diagnostics`.
 
     Returns
     -------
@@ -110,6 +98,9 @@ def convert_image(
     with np.errstate(over='ignore', invalid='ignore'):
         finite = np.isfinite((xyxy[:, 2:] - xyxy[:, :2]).prod(axis=1))
     rows = np.flatnonzero(finite)
+    if conversion is not None:
+        columns = {each.name: getattr(conversion, each.name)[rows] for each in fields(conversion)}
+        conversion = Conversion(**columns)
     image = ImageBoxes(
         image=labels.image,
         xyxy=xyxy[rows],
@@ -118,7 +109,7 @@ def convert_image(
         scores=labels.scores[rows],
         size=labels.size,
         source=labels.source,
-        diagnostics=None if conversion is None else _select(conversion, rows),
+        diagnostics=conversion,
     )
     bad = np.flatnonzero(~finite).tolist()
     return image, {row: _reason(Defect(boxes.defects[row])) for row in bad}
@@ -127,11 +118,6 @@ def convert_image(
 def _reason(defect: Defect) -> str:
     # A box without a defect is left out because its result is too large.
     return 'overflow' if defect == Defect.NONE else defect.name.lower().replace('_', ' ')
-
-
-def _select(conversion: Conversion, rows: NDArray[np.intp]) -> Conversion:
-    names = [field.name for field in fields(Conversion)]
-    return Conversion(**{name: getattr(conversion, name)[rows] for name in names})
 
 
 def convert_labels(
@@ -182,7 +168,7 @@ def convert_file(
     source, target : Path
         Label file or folder to read, and to write.
     rule, caps, diagnostics
-        As for `convert_image`.
+        How to convert, and whether to write how each box was computed.
     source_format, target_format : str, optional
         Names of `obbhbb_ros.labels.FORMATS`; by default the first is detected and the second
         follows from the suffix of `target`.
@@ -193,11 +179,6 @@ def convert_file(
     progress : callable, optional
         Gets the images as they are read and the number of files if `source` is a folder; passes
         the images on and shows the progress.
-
-    Returns
-    -------
-    Tally
-        The counts.
 
     Raises
     ------

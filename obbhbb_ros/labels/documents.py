@@ -16,10 +16,10 @@ from obbhbb_ros.labels.records import LabelFile
 
 def image_size_of(width: object, height: object) -> ImageSize | None:
     """Return an image size if both are positive whole numbers or the text of one."""
-    texts = [str(value) for value in (width, height) if not isinstance(value, bool)]
-    if len(texts) < 2 or not all(t.isascii() and t.isdigit() and len(t) < 10 for t in texts):
+    sides = str(width), str(height)
+    if not all(side.isascii() and side.isdigit() and len(side) < 10 for side in sides):
         return None
-    size = int(texts[0]), int(texts[1])
+    size = int(sides[0]), int(sides[1])
     return size if min(size) > 0 else None
 
 
