@@ -35,8 +35,6 @@ class LabelError(ValueError):
     """
     A label file, or one record of it, that cannot be read.
 
-    Not a frozen dataclass, because Python itself sets attributes of an exception in flight.
-
     Attributes
     ----------
     path : Path
@@ -48,7 +46,6 @@ class LabelError(ValueError):
     """
 
     def __init__(self, path: Path, line: int | None, message: str) -> None:
-        """Keep the three parts; ``str()`` joins them as ``path:line: message``."""
         super().__init__(path, line, message)
         self.path = path
         self.line = line
@@ -147,22 +144,12 @@ class ImageBoxes:
 
     Attributes
     ----------
-    image : str
-        Image name, as `ImageLabels` has it.
     xyxy : FloatArray
         x_min, y_min, x_max, y_max of N boxes, shape (N, 4), pixels.
-    class_ids : tuple of str
-        N classes.
-    ids : tuple of str
-        N instance ids, '' for none.
-    scores : FloatArray
-        Shape (N,).
-    size : tuple of int or None
-        Image width and height in pixels where known.
-    source : Path
-        The file the boxes came from.
     diagnostics : Conversion or None
         How the N boxes were computed; its `xyxy` and `valid` are not used.
+    image, class_ids, ids, scores, size, source
+        As in `ImageLabels`.
 
     Raises
     ------
@@ -229,14 +216,8 @@ class LabelFile:
     """
     A label file that is being read.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    image_size : tuple of int or None
-        Width and height of every image in pixels, as the caller gave it.
-    on_error : callable
-        Gets a LabelError for each malformed record, which is left out.
+    `image_size` is width and height of every image in pixels, as the caller gave it; `on_error`
+    gets a LabelError for each malformed record, which is left out.
     """
 
     path: Path
@@ -276,27 +257,18 @@ class LabelFile:
 def assemble(
     image: str, boxes: Sequence[Box], size: ImageSize | None, source: Path
 ) -> ImageLabels:
-    """
-    Gather the N boxes of an image, in the order of the file, into arrays.
-
-    Those of an image without boxes have a leading dimension of 0. `size` is width and height in
-    pixels, `source` the file that the boxes came from.
-    """
+    """Gather the N boxes of an image into arrays, which have N rows also if N is 0."""
     return ImageLabels(
         image=image,
-        corners=_array([box.corners for box in boxes], (-1, 4, 2)),
+        corners=np.array([box.corners for box in boxes], np.float64).reshape(-1, 4, 2),
         class_ids=tuple(box.class_id for box in boxes),
         ids=tuple(box.id for box in boxes),
-        scores=_array([box.score for box in boxes], (-1,)),
-        reference=_array([box.reference for box in boxes], (-1, 4)),
+        scores=np.array([box.score for box in boxes], np.float64),
+        reference=np.array([box.reference for box in boxes], np.float64).reshape(-1, 4),
         hulls=tuple(box.hull for box in boxes),
         size=size,
         source=source,
     )
-
-
-def _array(values: Sequence[object], shape: tuple[int, ...]) -> FloatArray:
-    return np.array(values, dtype=np.float64).reshape(shape)
 
 
 @dataclass(frozen=True)
