@@ -81,14 +81,14 @@ def _released(features: list[Any]) -> Iterator[Any]:
         yield feature
 
 
-def _record(default_image: str, feature: object) -> shapes.Outlined:
+def _record(default_image: str, feature: Any) -> shapes.Outlined:
     geometry = json_member(feature, 'geometry')
     properties = json_member(feature, 'properties') or {}
     if not isinstance(properties, dict):
         raise ValueError("'properties' is not a JSON object")
-    own_id = {} if not isinstance(feature, dict) else {'id': feature.get('id')}
     # An id among the properties is the user's own; the one beside them may be a running number.
-    return shapes.feature_record(default_image, {**own_id, **properties}, _rings(geometry))
+    fields = {'id': feature.get('id'), **properties}
+    return shapes.feature_record(default_image, fields, _rings(geometry))
 
 
 def _rings(geometry: object) -> list[FloatArray]:
