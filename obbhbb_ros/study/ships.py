@@ -103,6 +103,12 @@ class Ships:
             skipped=self.skipped,
         )
 
+    def class_index(self, names: Iterable[str]) -> NDArray[np.intp]:
+        """Find the class of each ship among some classes: its index, -1 if it is another."""
+        number = {name: index for index, name in enumerate(names)}
+        found = [number.get(name, -1) for name in self.class_ids.tolist()]
+        return np.array(found, dtype=np.intp)
+
     @property
     def image_count(self) -> int:
         """Number of images."""
@@ -154,7 +160,7 @@ def read_ships(
     image_size : tuple of int, optional
         Width and height of every image, pixels, for normalised formats.
     on_error : callable, optional
-        Receives each malformed record; by default the first one is raised.
+        Called with the error of each malformed record; by default the first one is raised.
 
     Raises
     ------
