@@ -67,11 +67,11 @@ class Tally:
 
     @property
     def readable(self) -> bool:
-        """Whether anything was read; a data set with no boxes and no errors is only empty."""
+        """Whether anything was read; images without boxes and without errors are valid."""
         return self.boxes > 0 or (self.images > 0 and self.complete)
 
     def __str__(self) -> str:
-        """Sum up in one line."""
+        """Return the counts in one line."""
         reasons = ', '.join(f'{count} {reason}' for reason, count in self.left_out.items())
         return (
             f'{self.images} images, {self.boxes} boxes converted, '
@@ -94,7 +94,7 @@ def convert_image(
     boxes = OrientedBoxes.from_corners(labels.corners)
     conversion = convert_with_diagnostics(boxes, rule, caps) if diagnostics else None
     xyxy = convert_by_rule(boxes, rule, caps) if conversion is None else conversion.xyxy
-    # The area has to be finite as well: some formats hold it.
+    # The area must be finite too, since COCO files contain it.
     with np.errstate(over='ignore', invalid='ignore'):
         finite = np.isfinite((xyxy[:, 2:] - xyxy[:, :2]).prod(axis=1))
     rows = np.flatnonzero(finite)
@@ -210,10 +210,10 @@ def convert_file(
 
 
 def _sized(image: ImageBoxes) -> ImageBoxes:
-    """Take the size from the image file if the labels do not have it."""
+    """Read the size from the image file if the labels do not have it."""
     if image.size is not None or not image.class_ids:
         return image
-    # Where the label file of that image would be.
+    # The path that a label file of this image would have.
     place = image.source.parent / f'{bare_name(image.image)}.txt'
     try:
         return replace(image, size=stored_size(place))

@@ -9,8 +9,8 @@ With corners::
 
 The header gives the order of the columns; unknown columns are ignored. ``hx1`` to ``hy2``, the
 reference box, may be empty or absent, and so may ``mask``, the hull polygon, and ``score``, which
-is then 1. A row is one line, quoted fields included, so that a stray quote costs one row and not
-the rest of the file. A row with an image name and nothing else is an image without boxes. The eight
+is then 1. A row is one line, quoted fields included, so that a stray quote damages one row and not
+the rest of the file. A row with only an image name is an image without boxes. The eight
 corners may be replaced by ``x_min,y_min,x_max,y_max``, as `obbhbb convert` writes them: the box is
 then upright, and its own reference box.
 
@@ -224,7 +224,7 @@ def _write_rows(
     images: Iterable[AnyImage],
     rows_of: Callable[[AnyImage], Iterable[list[str]]],
 ) -> None:
-    """Write one row per box, and one with only the name for an image without boxes."""
+    """Write one row per box, and one row with only the name for an image without boxes."""
     lines = [_join_row(columns)]
     for image in images:
         if not image.image:
@@ -240,7 +240,7 @@ def _join_row(fields: Sequence[str]) -> str:
     csv.writer(row, lineterminator='').writerow(fields)
     line = row.getvalue()
     if '\n' in line or '\r' in line:
-        raise ValueError(f'a row of a table is one line, this one has a line break: {line!r}')
+        raise ValueError(f'a table row must be one line, but this one has a line break: {line!r}')
     return line
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which files of a folder are label files, and which file an image's labels are written to."""
+"""Label files in a folder, and the file that the labels of an image are written to."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        # Reading a pipe would wait for data, and detecting the format reads it twice.
+        # A pipe can be read only once, and format detection reads the file before.
         raise ValueError(f'{path}: neither a regular file nor a folder')
     files = sorted(
         each for each in path.iterdir()
@@ -57,7 +57,7 @@ def target_files(
     images = list(images)
     if path.suffix.lower() == suffix and not path.is_dir():
         if len(images) != 1:
-            raise ValueError(f'{path}: one file holds one image, not {len(images)}: name a folder')
+            raise ValueError(f'{path}: one file holds one image, not {len(images)}: give a folder')
         return [(path, images[0])]
     targets: dict[str, AnyImage] = {}
     for image in images:
@@ -73,10 +73,9 @@ def write_each(
     path: Path, images: Iterable[AnyImage], suffix: str, lines: Callable[[AnyImage], list[str]]
 ) -> None:
     """
-    Write one file per image, once all of them are known to be writable.
+    Write one file per image, see `target_files`, after all of them are turned into lines.
 
-    `lines` returns the lines of an image's file, and raises ValueError if the format cannot hold
-    them. For the others, and further errors, see `target_files`.
+    `lines` returns the lines for an image, and raises ValueError if the format cannot hold them.
     """
     files = [(file, lines(image)) for file, image in target_files(path, images, suffix)]
     for file, text in files:

@@ -34,7 +34,7 @@ from obbhbb_ros.labels.records import names
 from obbhbb_ros.labels.records import raise_error
 from obbhbb_ros.labels.shapes import check_coordinates
 
-# Of a suffix with several formats, blank files belong to the first.
+# Blank files are read in the first format that has their suffix.
 _ALL = (
     dota.FORMAT,
     yolo.ORIENTED,
@@ -65,9 +65,9 @@ def detect_format(path: str | os.PathLike[str]) -> str:
 
     The formats with the suffix of the file are compared with its beginning: one line that fits
     exactly one format is enough. In a folder the first file of each suffix whose format can be
-    detected counts for all of this suffix. If the content does not help, the suffix decides if only
-    one format has it; blank files count as the first format of their suffix, since in all of these
-    they are an image without boxes.
+    detected decides for all files of this suffix. If the content does not decide, the suffix does,
+    provided only one format has it; blank files have the first format of their suffix, since in all
+    formats they are an image without boxes.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def detect_format(path: str | os.PathLike[str]) -> str:
     files = label_files(path, suffixes)
     found = _detect_by_content(files)
     if len(found) > 1:
-        raise ValueError(f'{path}: holds more than one label format: {names(found)}: name one')
+        raise ValueError(f'{path}: more than one label format: {names(found)}: give one')
     return (found[0] if found else _detect_by_suffix(path, files)).name
 
 
@@ -134,8 +134,7 @@ def read_labels(
     """
     Read the labels of a file, or of the label files directly in a folder.
 
-    Errors in the arguments are raised by the call; files are read one by one, as the iterator gets
-    to them.
+    The call raises errors in the arguments; files are read one by one during iteration.
 
     Parameters
     ----------
@@ -214,7 +213,7 @@ def write_labels(
     Write labels to a file or, in formats with one file per image, to a folder.
 
     All labels are checked and turned into text before the first file is opened, so `images` may
-    come from `read_labels` of the same path. What a format has no place for is left out.
+    come from `read_labels` of the same path. Values that the format cannot hold are left out.
 
     Parameters
     ----------
@@ -265,9 +264,8 @@ def write_boxes(
     """
     Write axis-aligned boxes to a file or, in formats with one file per image, to a folder.
 
-    Parameters and errors are those of `write_labels`; it is also an error if the format has no
-    place for the diagnostics that are given. Names, ids and scores that it has no place for are
-    left out.
+    Parameters and errors are those of `write_labels`; it is also an error if the format cannot
+    hold the diagnostics that are given. Names, ids and scores that it cannot hold are left out.
 
     Examples
     --------
@@ -300,17 +298,17 @@ def box_format(path: Path, name: str | None, diagnosed: bool = False) -> Format:
     if diagnosed and not chosen.holds_diagnostics:
         able = [each for each in able if each.holds_diagnostics]
         raise ValueError(
-            f'label format {chosen.name!r} has no place for diagnostics: use {names(able)}'
+            f'label format {chosen.name!r} cannot hold diagnostics: use {names(able)}'
         )
     return chosen
 
 
 def _format_to_write(path: Path, name: str | None, able: list[Format], what: str) -> Format:
     if name is None:
-        # A suffix that two formats share belongs to the one that has it first.
+        # A suffix of two formats belongs to the one that lists it first.
         fitting = [each for each in able if _suffix(path) == each.suffixes[0]]
         if len(fitting) != 1:
-            raise ValueError(f'{path}: name the label format to write: {names(able)}')
+            raise ValueError(f'{path}: give the label format to write: {names(able)}')
         return fitting[0]
     chosen = format_named(name)
     if chosen not in able:

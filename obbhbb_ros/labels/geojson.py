@@ -8,7 +8,7 @@ GeoJSON: a FeatureCollection of polygons, one ship per feature.
       {"type": "Feature", "id": 7, "properties": {"image": "P0706", "class": "ship", "score": 0.9},
        "geometry": {"type": "Polygon", "coordinates": [[[284, 466], [274, 456], [300, 427]]]}}]}
 
-Coordinates are read as pixels, whatever they are; their reference system is neither read nor
+All coordinates are read as pixels; their reference system is neither read nor
 written. Boxes are aligned with its axes, and both axes need the same unit: metres or pixels, not
 degrees. The oriented box is the minimum rotated rectangle of the polygon, or of all parts of a
 multi-polygon. Features that name no image belong to an image named after the file. Images without
@@ -46,7 +46,7 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
 
 
 def _shorten(member: dict[str, Any]) -> dict[str, Any]:
-    """Replace the coordinates of a polygon by its outer rings, as arrays: a tenth of the memory."""
+    """Replace the coordinates of a polygon by arrays of its outer rings: a tenth of the memory."""
     if member.get('type') in POLYGONS:
         try:
             member['coordinates'] = _outer_rings(member)
@@ -75,7 +75,7 @@ def _features(file: LabelFile, document: Any) -> list[Any]:
 
 
 def _released(features: list[Any]) -> Iterator[Any]:
-    """Release each feature as its record is made, so that a large file is held once."""
+    """Release each feature after use, so that a large file is in memory only once."""
     for index, feature in enumerate(features):
         features[index] = None
         yield feature

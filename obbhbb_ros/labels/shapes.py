@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes from what formats give instead of corners: bounds, centre and angle, polygons, features."""
+"""Boxes from bounds, from centre and angle, from polygons, and as geographic features."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from obbhbb_ros.labels.text import parse_score
 
 Corners = tuple[float, float, float, float, float, float, float, float]
 
-# Names that tools use for the same property, in any case; the first one with a value counts.
+# Names of the same property in different tools, in any case; the first with a value is used.
 IMAGE = ('image', 'image_id', 'file_name', 'filename')
 CLASS = ('class', 'class_id', 'category', 'label', 'name')
 SCORE = ('score', 'confidence')
@@ -43,17 +43,17 @@ PROBLEMS = {
     Defect.EMPTY: 'the polygon has no area',
     Defect.TOO_FEW_POINTS: 'the polygon has fewer than three distinct points',
     Defect.NO_RECTANGLE: (
-        f'no rectangle can be laid around the polygon: a coordinate beyond {FARTHEST:g}, or points '
-        'too close to tell apart'
+        'the polygon has no minimum rotated rectangle: a coordinate is beyond '
+        f'{FARTHEST:g}, or its points are too close together'
     ),
 }
 
 
 def upright_corners(xyxy: Sequence[float]) -> Corners:
-    """Return the corners, x1 y1 … x4 y4, of a box; raise ValueError if it is inside out."""
+    """Return the corners, x1 y1 … x4 y4; raise ValueError if a maximum is below the minimum."""
     x_min, y_min, x_max, y_max = xyxy
     if x_max < x_min or y_max < y_min:
-        raise ValueError(f'the box is inside out: {x_min} {y_min} to {x_max} {y_max}')
+        raise ValueError(f'a maximum of the box is below its minimum: {x_min} {y_min} to {x_max} {y_max}')
     return (x_min, y_min, x_max, y_min, x_max, y_max, x_min, y_max)
 
 
@@ -86,7 +86,7 @@ def _check_size(width: float, height: float) -> None:
 
 class Outlined(NamedTuple):
     """
-    A record whose box is known or, if there are rings, to be computed from them.
+    A record with a box or, if there are rings, with the polygons to compute its corners from.
 
     `image` identifies the image in the file. `rings` are the outer rings of the ship's polygons,
     each of shape (K, 2), closed or not.
@@ -165,11 +165,11 @@ def enclose(
     file: LabelFile, records: Iterable[tuple[int | None, str, Outlined]]
 ) -> dict[str, list[Box]]:
     """
-    Lay the minimum rotated rectangle around the rings of each record.
+    Compute the minimum rotated rectangle of the rings of each record.
 
-    Several rings are one ship, partly covered: the hull is the convex hull of them all. A ring of
-    four corners is a box that somebody drew, and not a hull. If it is an upright rectangle it is
-    also the reference box, unless the record has one. Records whose rings have no rectangle are
+    Several rings are one partly hidden ship: its hull is the convex hull of them all. A ring of
+    four corners is a box, and not a hull. If it is an upright rectangle it is also the reference
+    box, unless the record has one. Records whose rings have no rectangle are
     reported and left out.
 
     Parameters

@@ -22,7 +22,7 @@ def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
     Read the lines of a UTF-8 file, with or without BOM, ended by LF, CRLF or CR.
 
     Yields line numbers, counted from 1, and lines without their ends. `on_error` gets a LabelError
-    for each line that is not UTF-8: it is left out, and costs no other.
+    for each line that is not UTF-8, and only this line is left out.
     """
     data = path.read_bytes().removeprefix(codecs.BOM_UTF8)
     for number, raw in enumerate(data.splitlines(), start=1):

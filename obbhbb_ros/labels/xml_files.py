@@ -71,7 +71,7 @@ VOC_CORNERS = (
     'x_right_bottom', 'y_right_bottom', 'x_left_bottom', 'y_left_bottom',
 )  # fmt: skip
 NOT_IN_XML = re.compile('[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]')
-# The parser goes on to the end of a block after a handler has raised.
+# After an error in a handler the parser continues to the end of the block.
 BLOCK_BYTES = 65536
 
 
@@ -103,7 +103,7 @@ def _read_boxes(
 
 
 def _parse_xml(file: LabelFile) -> tuple[Element, dict[Element, int]]:
-    """Parse an XML file; also return the line that each element begins in."""
+    """Parse an XML file; also return the line of each element."""
     data = file.path.read_bytes()
     builder = TreeBuilder()
     lines: dict[Element, int] = {}
@@ -114,7 +114,7 @@ def _parse_xml(file: LabelFile) -> tuple[Element, dict[Element, int]]:
         lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
 
     def refuse(*_: object) -> None:
-        # Label files have none, and its entities may expand to gigabytes or name other files.
+        # Label files have none, and its entities may expand to gigabytes or read other files.
         raise ValueError('a document type declaration (DOCTYPE) is not accepted')
 
     parser.StartElementHandler = start
@@ -128,7 +128,7 @@ def _parse_xml(file: LabelFile) -> tuple[Element, dict[Element, int]]:
     except expat.ExpatError as error:
         raise file.error(f'not XML: {expat.ErrorString(error.code)}', error.lineno) from None
     except (ValueError, LookupError) as error:
-        # An encoding that Python cannot supply to the parser is a LookupError or a ValueError.
+        # An encoding that Python does not support is a LookupError or a ValueError.
         raise file.error(str(error), parser.CurrentLineNumber) from None
     return builder.close(), lines
 

@@ -121,7 +121,7 @@ def _class_names(folder: Path) -> list[str]:
 
 
 def _write(path: Path, images: list[AnyImage]) -> None:
-    """Write one file per image, once all of them are known to be writable."""
+    """Write one file per image, after all of them are turned into lines."""
     targets = target_files(path, images, '.txt')
     folder = path if not targets else targets[0][0].parent
     names = _numbered_names(folder, [name for image in images for name in image.class_ids])
@@ -134,7 +134,7 @@ def _write(path: Path, images: list[AnyImage]) -> None:
 
 
 def _numbered_names(folder: Path, used: Iterable[str]) -> list[str]:
-    """List the names for ``classes.txt``, those already in it first; none for plain indices."""
+    """List the names for ``classes.txt``, those already in it first; none if all are indices."""
     distinct = list(dict.fromkeys(used))
     if all(text.is_index(name) and name == str(int(name)) for name in distinct):
         return []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rules that a study compares: the paper's, the default of each method, rules by class."""
+"""The rules that are compared: the paper's, the default of each method, rules by class."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from obbhbb_ros.study.progress import track
 @dataclass(frozen=True, eq=False)
 class Ships:
     """
-    N oriented boxes, and what is known of the ships in them.
+    The labels of N ships.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class Ships:
 
     @property
     def with_reference(self) -> NDArray[np.bool_]:
-        """Which ships have a reference box of some area, shape (N,)."""
+        """Whether each ship has a reference box with an area, shape (N,)."""
         with np.errstate(invalid='ignore'):
             return np.asarray((self.reference[:, 2:] > self.reference[:, :2]).all(axis=1))
 
@@ -125,8 +125,7 @@ class Ships:
         """
         Angle between the long axis and the nearest image axis, degrees in [0, 45], shape (N,).
 
-        The paper's angle bands are bands of this: beyond 45 degrees an orientation is one of
-        these seen from the other axis.
+        The paper's angle bands are bands of this angle.
         """
         degrees = np.degrees(self.boxes.theta)
         return np.abs(np.mod(degrees + 45.0, 90.0) - 45.0)
