@@ -53,7 +53,8 @@ def upright_corners(xyxy: Sequence[float]) -> Corners:
     """Return the corners, x1 y1 … x4 y4; raise ValueError if a maximum is below the minimum."""
     x_min, y_min, x_max, y_max = xyxy
     if x_max < x_min or y_max < y_min:
-        raise ValueError(f'a maximum of the box is below its minimum: {x_min} {y_min} to {x_max} {y_max}')
+        sides = f'{x_min} {y_min} to {x_max} {y_max}'
+        raise ValueError(f'the box has a maximum below its minimum: {sides}')
     return (x_min, y_min, x_max, y_min, x_max, y_max, x_min, y_max)
 
 
