@@ -191,8 +191,8 @@ def _calibrate_options(add: _Add) -> None:
     add('--refine', action=argparse.BooleanOptionalAction, default=plan.refine,
         help='refine the best setting of the grid (default); --no-refine is Algorithm 2')
     _add_numbers(add, plan, {
-        'keep': 'objective coverage: share of its reference box that a box must contain',
-        'share': 'objective coverage: share of ships whose box must contain it',
+        'keep': 'objective coverage: share of the reference box that a box must contain',
+        'share': 'objective coverage: share of ships whose box must contain that much',
         'seed': 'seed of all random splits',
     })
     add('--exchangeable', choices=('ships', 'images'), default='ships',

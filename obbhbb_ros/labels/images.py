@@ -89,7 +89,7 @@ def stored_size(labels: Path) -> ImageSize:
 def _shown_size(path: Path) -> ImageSize:
     with opened_image(path) as image:
         width, height = image.size
-        # Only for JPEG: of other formats Pillow may decode the whole image to find it.
+        # Only for JPEG: for other formats Pillow may decode the whole image to find it.
         turned = image.format == 'JPEG' and image.getexif().get(EXIF_ORIENTATION) in EXIF_TURNED
     return (height, width) if turned else (width, height)
 
@@ -104,7 +104,7 @@ def opened_image(path: Path) -> Iterator[Any]:
     """
     from PIL import Image
 
-    # Pillow refuses what has twice as many pixels as this, and warns before.
+    # Pillow warns above this number of pixels, and refuses twice as many.
     limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MOST_PIXELS // 2
     try:
         with warnings.catch_warnings():

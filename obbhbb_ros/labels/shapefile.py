@@ -29,7 +29,7 @@ from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import LabelFile
 
 DRIVER = 'ESRI Shapefile'
-# Indexes of the older features, which must not stay beside new ones.
+# Indexes of the features in a file that is replaced; they would not fit the new ones.
 INDEXES = ('.qix', '.sbn', '.sbx')
 FILE_CODE = '\x00\x00\x27\x0a'
 MAX_TEXT_BYTES = 254
@@ -70,7 +70,7 @@ def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
         if isinstance(value, str) and len(value.encode()) > MAX_TEXT_BYTES:
             raise ValueError(f'{name} {value!r} is too long for a shapefile')
     frame = geopandas.GeoDataFrame(_columns(properties), geometry=shapely.box(*boxes.T))
-    # A file without features needs to be given the type of geometry, which one engine can take.
+    # An empty file needs the type of geometry, which only pyogrio accepts.
     options = {'engine': 'pyogrio', 'geometry_type': 'Polygon'} if frame.empty else {}
     with replacing_all(path, INDEXES) as whole, warnings.catch_warnings():
         # The warning is about a missing reference system; there is none to write.

@@ -59,9 +59,9 @@ class Plan:
     refine : bool
         Whether to refine the best setting of the grid continuously.
     keep : float
-        `coverage`: share of its reference box that a box must contain, in (0, 1].
+        `coverage`: share of the reference box that a box must contain, in (0, 1].
     share : float
-        `coverage`: share of ships whose box must contain it, in (0, 1).
+        `coverage`: share of ships whose box must contain that much, in (0, 1).
     per_image : int
         `coverage`: maximum number of ships per image, see `conformal_rank`; 1 if the ships are
         exchangeable.

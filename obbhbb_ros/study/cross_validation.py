@@ -241,8 +241,8 @@ def _large_classes(outcome: Outcome) -> list[str]:
     if len(names) >= 2 and large:
         return large
     outcome.notes.append(
-        f'per class: nothing to do: needs two or more classes (here {len(names)}), one of them or '
-        f'more large enough for a rule (here {len(large)})'
+        f'per class: nothing to do: needs two or more classes (here {len(names)}), at least one of '
+        f'them large enough for a rule (here {len(large)})'
     )
     return []
 

@@ -28,7 +28,7 @@ from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.ships import Ships
 
 ALL = 'all'
-# A ship belongs to a band from its lower end to below its upper one; tilt is 45° at most.
+# A band includes its lower end and excludes its upper end; tilt is 45° at most.
 TILT_BANDS = {'tilt 0-15°': (0.0, 15.0), 'tilt 15-30°': (15.0, 30.0), 'tilt 30-45°': (30.0, np.inf)}
 ASPECT_BANDS = {
     'L/W 1-3': (1.0, 3.0), 'L/W 3-5': (3.0, 5.0), 'L/W 5-7': (5.0, 7.0), 'L/W >= 7': (7.0, np.inf)

@@ -50,7 +50,7 @@ GRIDS: MappingProxyType[str, Grid] = MappingProxyType({
         f=(0.7, 0.8, 0.9, 1.0, 1.1),
         s=(0.95, 1.0, 1.05, 1.1),
     ),
-    # Real ships turned out to lie beyond it.
+    # The best settings for real ships lie outside the paper's search space.
     'wide': Grid(
         q=(1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 7.0),
         f=(0.8, 0.9, 1.0, 1.1, 1.2),

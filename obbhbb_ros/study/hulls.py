@@ -69,7 +69,7 @@ class Family:
         return np.concatenate((side.T, side.T[::-1] * [1.0, -1.0]))
 
 
-# The ends are what `fit_ends` gives; a test holds them equal.
+# The ends are the results of `fit_ends`; a test compares them.
 FAMILIES: MappingProxyType[str, Family] = MappingProxyType({
     family.name: family
     for family in (
