@@ -186,10 +186,10 @@ def test_images_without_ships_are_no_error(source: Path, tmp_path: Path) -> None
     ('options', 'message'),
     [
         (['--to', 'dota'], "cannot write axis-aligned boxes as 'dota': use yolo"),
-        (['--to', 'yolo', '--diagnostics'], 'no place for diagnostics'),
+        (['--to', 'yolo', '--diagnostics'], 'cannot hold diagnostics'),
         (['--to', 'yolo'], "image 'P1': YOLO needs its size"),
         (['--from', 'labelme', '--to', 'csv'], "unknown label format 'labelme'"),
-        ([], 'name the label format to write'),
+        ([], 'give the label format to write'),
         (['--to', 'csv', '--q', '0.5'], 'q must be in [1, inf]'),
         (['--to', 'csv', '--method', 'magic'], 'magic'),
         (['--to', 'csv', '--max-length', '-1'], 'max_length must be positive'),
