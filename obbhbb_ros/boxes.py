@@ -64,8 +64,8 @@ class OrientedBoxes:
     N oriented boxes, stored as centres and half edges.
 
     Create them with `from_corners`, `from_xywhr` or `from_polygons`, which accept the long side in
-    either place. Boxes that cannot be converted keep their place, have NaN coordinates and a
-    defect.
+    either place, keep the order of the input, and raise ValueError if it has another shape or
+    contains anything but numbers. Boxes that cannot be converted have NaN coordinates and a defect.
 
     Attributes
     ----------
@@ -101,16 +101,6 @@ class OrientedBoxes:
             Crossed corners have no area and are marked as empty; `from_polygons` accepts vertices
             in any order.
 
-        Returns
-        -------
-        OrientedBoxes
-            The boxes, in the same order.
-
-        Raises
-        ------
-        ValueError
-            If `corners` has another shape or contains anything but numbers.
-
         Examples
         --------
         >>> boxes = OrientedBoxes.from_corners([[[20, 30], [80, 30], [80, 50], [20, 50]]])
@@ -130,16 +120,6 @@ class OrientedBoxes:
             Centre x and y, extent along `theta`, extent across it (pixels), `theta` (radians from
             image +x).
 
-        Returns
-        -------
-        OrientedBoxes
-            The boxes, in the same order.
-
-        Raises
-        ------
-        ValueError
-            If `xywhr` has another shape or contains anything but numbers.
-
         Examples
         --------
         >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]])
@@ -157,16 +137,6 @@ class OrientedBoxes:
         ----------
         polygons : iterable of array_like, each of shape (K, 2)
             x and y of the vertices, pixels; any number, in any order, closed or not.
-
-        Returns
-        -------
-        OrientedBoxes
-            The boxes, in the same order.
-
-        Raises
-        ------
-        ValueError
-            If a polygon has another shape or contains anything but numbers; the message names it.
 
         Examples
         --------

@@ -217,10 +217,8 @@ def half_extents(
     ----------
     boxes : OrientedBoxes
         N boxes.
-    rules : sequence of HullRule
-        The rules in use.
-    rule_of : ndarray of int, shape (N,), optional
-        For each box, the index of its rule; by default 0.
+    rules, rule_of : sequence of HullRule, ndarray of int of shape (N,), optional
+        The rules, and for each box the index of its rule, by default 0.
     caps : Caps
         Bounds of the result, the same for all.
 

@@ -22,22 +22,8 @@ def replacing(path: Path) -> Iterator[Path]:
     Provide a temporary file in a `with` block that replaces `path` if the block succeeds.
 
     Missing parent folders are created. After any failure, including a full disk, an existing file
-    is unchanged and no temporary file remains.
-
-    Parameters
-    ----------
-    path : Path
-        The file to write. A device or pipe is written directly.
-
-    Yields
-    ------
-    Path
-        A file in the same folder that does not exist yet, with the same suffix.
-
-    Raises
-    ------
-    OSError
-        If `path` cannot be written; the error names it.
+    is unchanged, no temporary file remains, and the OSError names `path`. The temporary file is in
+    the same folder and has the same suffix; a device or pipe is written directly.
 
     Examples
     --------
@@ -67,22 +53,8 @@ def replacing_all(path: Path, stale: Collection[str] = ()) -> Iterator[Path]:
     """
     Provide a temporary file as `replacing` does, for formats that write several files.
 
-    Parameters
-    ----------
-    path : Path
-        The main file; the others have the same name with other suffixes.
-    stale : collection of str
-        Suffixes of existing files that do not fit the new main file and are deleted.
-
-    Yields
-    ------
-    Path
-        A file of that name in a temporary folder.
-
-    Raises
-    ------
-    OSError
-        If one of the files cannot be written.
+    The others have the name of `path` with other suffixes. Existing files of that name with a
+    suffix in `stale` do not fit the new file and are deleted.
     """
     path = Path(os.path.realpath(path))
     _prepare(path)

@@ -86,20 +86,10 @@ def superellipse(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
 
 def shape_aware(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
     """
-    Apply the published rule (Algorithm 1) in closed form.
+    Apply the published rule (Algorithm 1) in closed form; parameters as for `superellipse`.
 
     Its curve ``y = b (1 - |x/a|^q)`` lies inside the superellipse, so its half-extents are up to
     15 % smaller; where ``along >= q * across`` the width has no effect.
-
-    Parameters
-    ----------
-    along, across, q
-        As for `superellipse`.
-
-    Returns
-    -------
-    ndarray, shape (2, N)
-        Half-extents along x and y, pixels.
 
     Examples
     --------

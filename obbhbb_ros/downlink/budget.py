@@ -161,16 +161,12 @@ def chips_within_budget(
 
     Parameters
     ----------
-    view : ndarray, shape (height, width, channels)
+    view, layout : ndarray of shape (height, width, channels), PixelFormat
         The image.
-    layout : PixelFormat
-        Its pixel format.
     regions : sequence of tuple of int
         The crop plan, most valuable first.
-    codec, budget : CodecSettings, BudgetSettings
-        How chips are encoded, and the limits.
-    bucket : TokenBucket
-        The rate limiter of the link, shared by all frames.
+    codec, budget, bucket : CodecSettings, BudgetSettings, TokenBucket
+        Encoding, limits, and the rate limiter of the link, shared by all frames.
     clock : callable
         Returns the time in seconds.
     dropped : Counter

@@ -133,12 +133,7 @@ class CodecSettings:
 
 def pixel_format(encoding: str, codec: str) -> PixelFormat:
     """
-    Look up the pixel format of an encoding, for a codec that supports it.
-
-    Raises
-    ------
-    ChipError
-        If the encoding is unknown, or the codec does not support its bits per channel.
+    Look up the pixel format of an encoding; ChipError if the codec does not support it.
 
     Examples
     --------
@@ -159,22 +154,10 @@ def pixel_format(encoding: str, codec: str) -> PixelFormat:
 
 def view_of(image: WireImage) -> NDArray[Any]:
     """
-    View the pixels of an image without copying them.
+    View the pixels of an image without copying them, shape (height, width, channels).
 
-    Parameters
-    ----------
-    image : WireImage
-        An image in one of `PIXEL_FORMATS`.
-
-    Returns
-    -------
-    ndarray of uint8 or uint16, shape (height, width, channels)
-        In the image's own order of bytes and channels; it keeps the message alive.
-
-    Raises
-    ------
-    ChipError
-        If the size, step and data of the message contradict each other.
+    Bytes and channels keep the order of the image. Raises ChipError if its size, step and data
+    contradict each other.
     """
     layout = PIXEL_FORMATS[image.encoding]
     size = layout.depth // 8
@@ -196,22 +179,10 @@ def view_of(image: WireImage) -> NDArray[Any]:
 
 def placed(region: Region, image_size: tuple[int, int], layout: PixelFormat) -> Region | None:
     """
-    Clip a region to an image.
+    Clip a region to an image of `image_size`, width and height; None if nothing is left.
 
-    Parameters
-    ----------
-    region : tuple of int
-        x0, y0, x1, y1.
-    image_size : tuple of int
-        Width and height, pixels.
-    layout : PixelFormat
-        Of the image. In a Bayer mosaic the region grows to whole 2 x 2 cells, so that the chip
-        has the pattern of the image.
-
-    Returns
-    -------
-    tuple of int, or None
-        The part of the region inside the image; None if there is none.
+    In a Bayer mosaic the region first grows to whole 2 x 2 cells, so that the chip has the pattern
+    of the image.
 
     Examples
     --------
@@ -227,21 +198,9 @@ def placed(region: Region, image_size: tuple[int, int], layout: PixelFormat) -> 
 
 def cut(view: NDArray[Any], region: Region, layout: PixelFormat) -> NDArray[Any]:
     """
-    Copy the pixels of a region, ready for encoding.
+    Copy the pixels of a region inside the image, ready for encoding.
 
-    Parameters
-    ----------
-    view : ndarray, shape (height, width, channels)
-        The image, from `view_of`.
-    region : tuple of int
-        x0, y0, x1, y1 inside the image.
-    layout : PixelFormat
-        Of the image.
-
-    Returns
-    -------
-    ndarray of uint8 or uint16, shape (y1 - y0, x1 - x0, channels)
-        Contiguous, in native byte order; channels are grey or red, green, blue, alpha.
+    They are contiguous, in native byte order, with the channels grey or red, green, blue, alpha.
 
     Examples
     --------
@@ -258,21 +217,10 @@ def cut(view: NDArray[Any], region: Region, layout: PixelFormat) -> NDArray[Any]
 
 def encode(pixels: NDArray[Any], settings: CodecSettings) -> bytes:
     """
-    Encode a chip to a file of the codec.
+    Encode pixels from `cut` to a file of the codec.
 
-    Parameters
-    ----------
-    pixels : ndarray of uint8 or uint16, shape (H, W, C)
-        From `cut`. JPEG drops alpha; WebP stores grey as three equal channels.
-    settings : CodecSettings
-        Codec and quality.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If Pillow is not installed.
-    ValueError, OSError
-        If Pillow cannot encode the pixels.
+    JPEG drops alpha; WebP stores grey as three equal channels. Raises ModuleNotFoundError if
+    Pillow is not installed, ValueError or OSError if it cannot encode the pixels.
     """
     from PIL import Image
 

@@ -31,20 +31,18 @@ _SMALL_IMAGE = 2**30
 @dataclass(frozen=True)
 class MergeRules:
     """
-    Size limits of merged regions.
+    Size limits of merged regions, pixels.
 
     Attributes
     ----------
     limit : float
-        Maximum side of a merged region, pixels; does not apply inside another region, where
-        nothing grows.
+        Maximum side; does not apply inside another region, where nothing grows.
     step : int
-        Sides are rounded up to multiples of this, pixels.
+        Sides are rounded up to multiples of this.
     bounds : tuple of int
-        Width and height of the image, pixels, which rounding does not exceed.
+        Width and height of the image, which rounding does not exceed.
     fit : callable
-        Turns lower and upper corners, (2, N) each, of merged regions into those of regions of
-        such sizes.
+        Turns lower and upper corners, (2, N) each, into those of regions of such sizes.
     """
 
     limit: float
@@ -59,20 +57,9 @@ def merge_regions(
     """
     Merge regions where that saves pixels.
 
-    Parameters
-    ----------
-    corners : ndarray of int, shape (4, N)
-        x0, y0, x1, y1 of regions with sizes from `rules.fit`.
-    rules : MergeRules
-        Size limits.
-
-    Returns
-    -------
-    merged : ndarray of int64, shape (4, M)
-        The remaining regions, in no particular order.
-    group_of : ndarray of int, shape (N,)
-        For each of the N regions, the index of the merged region that contains it. The grouping
-        does not depend on the order of the input.
+    `corners` are x0, y0, x1, y1, (4, N), with sizes from `rules.fit`. Returns those of the M
+    remaining regions, (4, M), in no particular order, and for each of the N regions the index of
+    the merged region that contains it. The grouping does not depend on the order of the input.
 
     Examples
     --------

@@ -85,25 +85,10 @@ class Pairing:
         self, kind: int, stamp: Stamp, item: Any, now: float, limits: PairingLimits
     ) -> tuple[Any, Any] | None:
         """
-        Add an item.
+        Add an item of kind 0 or 1 at `now`, seconds of a monotonic clock.
 
-        Parameters
-        ----------
-        kind : int
-            0 or 1.
-        stamp : tuple of int
-            Seconds and nanoseconds. Zero means no stamp and is never paired.
-        item : object
-            The item.
-        now : float
-            Seconds of a monotonic clock.
-        limits : PairingLimits
-            How many items may wait, and for how long.
-
-        Returns
-        -------
-        tuple of object, or None
-            The items of kinds 0 and 1 with this stamp, if both are there.
+        Returns the items of kinds 0 and 1 with this stamp, if both are there. A zero stamp means no
+        stamp and is never paired.
         """
         self.expire(now, limits)
         if stamp == (0, 0):
