@@ -205,10 +205,10 @@ BURSTS = {
 @pytest.mark.parametrize('burst', BURSTS.values(), ids=BURSTS)
 @pytest.mark.parametrize('executable', EXECUTABLES)
 def test_however_often_and_whenever_signals_come_the_end_is_clean(
-    site: Site, tmp_path: Path, executable: str, burst: list[tuple[float, int]]
+    site: Site, executable: str, burst: list[tuple[float, int]]
 ) -> None:
     for moment in MOMENTS:
-        process = NodeProcess(executable, tmp_path / f'{moment}.log')
+        process = site.start(executable)
         while not process.has_signals_in_hand:
             time.sleep(0.001)
         time.sleep(moment)
@@ -246,20 +246,14 @@ def test_a_node_that_does_not_come_to_its_end_says_where_it_is(
     assert 'File "<string>", line 2' in text
 
 
-def cpu_seconds(node: Converter) -> float:
-    """Read how much the node's process has computed in its life."""
-    stat = Path(f'/proc/{node.process.pid}/stat').read_text().rpartition(')')[2].split()
-    return sum(map(int, stat[11:13])) / os.sysconf('SC_CLK_TCK')
-
-
 @pytest.mark.skipif(not Path('/proc/self/stat').exists(), reason='needs Linux')
 def test_a_node_with_nothing_to_do_does_next_to_nothing(start: Start) -> None:
     node = start()
     node.connect()
     node.next_report()
-    before = cpu_seconds(node)
+    before = node.process.cpu_seconds()
     node.wait(lambda: len(node.reports()) >= 4, 'three seconds')
-    assert cpu_seconds(node) - before < 0.3
+    assert node.process.cpu_seconds() - before < 0.3
 
 
 # What cannot start ----------------------------------------------------------------------------
@@ -281,8 +275,7 @@ BAD_PARAMETERS = [
 def failures(site: Site) -> list[NodeProcess]:
     """Nodes that cannot start, at the same time."""
     return [
-        NodeProcess('obb_to_hbb', site.folder / f'failure_{i}.log', parameters=parameters)
-        for i, (parameters, _) in enumerate(BAD_PARAMETERS)
+        site.start('obb_to_hbb', parameters=parameters) for parameters, _ in BAD_PARAMETERS
     ]
 
 
@@ -306,9 +299,9 @@ def test_bad_parameters_end_the_start_with_one_line(
     ],
 )
 def test_a_bad_command_line_ends_the_start_without_traceback(
-    site: Site, tmp_path: Path, arguments: list[str], text: str
+    site: Site, arguments: list[str], text: str
 ) -> None:
-    process = NodeProcess('obb_to_hbb', tmp_path / 'log', arguments)
+    process = site.start('obb_to_hbb', arguments=arguments)
     assert process.wait() == 1
     # A library of ROS may have logged something before.
     line = process.log.splitlines()[-1]
