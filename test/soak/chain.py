@@ -78,8 +78,9 @@ class Chain(ExitStack):
 
     def connect(self) -> None:
         """Wait until everything is connected."""
-        self._detections = self.peer.publisher(Detection2DArray, 'detections', QoSProfile(depth=100))
-        self._images = self.peer.publisher(Image, 'image', QoSProfile(depth=16))
+        depths = QoSProfile(depth=100), QoSProfile(depth=16)
+        self._detections = self.peer.publisher(Detection2DArray, 'detections', depths[0])
+        self._images = self.peer.publisher(Image, 'image', depths[1])
         graph = self.peer.node
         self.peer.spin_until(
             lambda: graph.count_publishers('chip/compressed')
@@ -109,7 +110,8 @@ def run(chain: Chain, rate: float, minutes: float) -> list[list[float]]:
     def report() -> None:
         resident.append([process.resident_megabytes() for process in chain.processes])
         print(
-            f'{len(resident) * REPORT_PERIOD:5.0f} s: sent {chain.sent}, chips {chain.chips.total()}, resident '
+            f'{len(resident) * REPORT_PERIOD:5.0f} s: sent {chain.sent}, '
+            f'chips {chain.chips.total()}, resident '
             + ', '.join(f'{each:.1f} MB' for each in resident[-1]), flush=True,
         )
 
