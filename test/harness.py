@@ -491,21 +491,25 @@ class Converter(Node):
 
 
 class ChipNode(Node):
-    """The node `chip_extractor` and a peer; `chips` and `infos` have what the peer hears."""
+    """
+    The node `chip_extractor` and a peer.
+
+    What the peer hears is in `chips` and `infos`; when the node sent each chip is in `sent`.
+    """
 
     def __init__(
         self, site: Site, parameters: Mapping[str, Any] | None = None, namespace: str = ''
     ) -> None:
         super().__init__(site, 'chip_extractor', namespace)
         self.chips: list[CompressedImage] = []
-        self.arrivals: list[float] = []
+        self.sent: list[float] = []
         self.peer.node.create_subscription(CompressedImage, 'chip/compressed', self._note, 1000)
         self.infos = self.peer.collect(CameraInfo, 'chip/camera_info')
         self.start(parameters=parameters)
 
-    def _note(self, chip: CompressedImage) -> None:
+    def _note(self, chip: CompressedImage, info: Mapping[str, int]) -> None:
         self.chips.append(chip)
-        self.arrivals.append(time.monotonic())
+        self.sent.append(info['source_timestamp'] / 1e9)
 
     def connect(self) -> None:
         """Wait until all topics are connected, both ways."""
@@ -523,7 +527,7 @@ class ChipNode(Node):
     def forget(self) -> None:
         self.chips.clear()
         self.infos.clear()
-        self.arrivals.clear()
+        self.sent.clear()
 
     def stamp(self) -> Header:
         """Make a header that no other message has."""
