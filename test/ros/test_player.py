@@ -6,6 +6,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -263,8 +264,8 @@ def test_images_beside_the_labels_are_published_with_their_stamp(
 def test_what_cannot_be_played_ends_the_start_with_one_line(
     site: Site, parameters: dict[str, Any], texts: tuple[str, ...]
 ) -> None:
-    process = site.start('play_detections', parameters=parameters)
-    assert process.wait() == 1
+    with site.start('play_detections', parameters=parameters) as process:
+        assert process.wait() == 1
     line = process.log.splitlines()[-1]
     assert line.startswith('cannot start: ')
     assert all(text in line for text in texts)
@@ -274,8 +275,8 @@ def test_what_cannot_be_played_ends_the_start_with_one_line(
 def test_an_empty_folder_ends_the_start(site: Site, tmp_path: Path) -> None:
     folder = tmp_path / 'labels'
     folder.mkdir()
-    process = site.start('play_detections', parameters={'path': folder})
-    assert process.wait() == 1
+    with site.start('play_detections', parameters={'path': folder}) as process:
+        assert process.wait() == 1
     assert f'cannot start: {folder}: no label file' in process.log
 
 
@@ -300,16 +301,17 @@ def boxes_sent(labels: ImageLabels, output_type: str) -> list[OrientedBoxes]:
 @pytest.fixture(scope='module')
 def play_to(site: Site) -> Iterator[Callable[..., None]]:
     """Plays to a node; players end with the module, all at once."""
-    players: list[NodeProcess] = []
+    with ExitStack() as stack:
+        players: list[NodeProcess] = []
 
-    def _play_to(node: Converter, **parameters: Any) -> None:
-        players.append(site.start(
-            'play_detections', namespace=node.namespace, parameters={'rate': 50.0, **parameters}
-        ))
+        def _play_to(node: Converter, **parameters: Any) -> None:
+            given = {'rate': 50.0, **parameters}
+            player = site.start('play_detections', namespace=node.namespace, parameters=given)
+            players.append(stack.enter_context(player))
 
-    yield _play_to
-    for player in players:
-        assert player.wait() == 0
+        yield _play_to
+        for player in players:
+            assert player.wait() == 0
 
 
 @pytest.mark.parametrize('output_type', INPUT_TYPES)

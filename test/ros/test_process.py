@@ -211,14 +211,14 @@ def test_however_often_and_whenever_signals_come_the_end_is_clean(
     site: Site, executable: str, burst: list[tuple[float, int]]
 ) -> None:
     for moment in MOMENTS:
-        process = site.start(executable)
-        while not process.has_signals_in_hand:
-            time.sleep(0.001)
-        time.sleep(moment)
-        for pause, number in burst:
-            time.sleep(pause)
-            process.send_signal(number)
-        assert process.wait(SOON) == 0, (moment, process.log)
+        with site.start(executable) as process:
+            while not process.has_signals_in_hand:
+                time.sleep(0.001)
+            time.sleep(moment)
+            for pause, number in burst:
+                time.sleep(pause)
+                process.send_signal(number)
+            assert process.wait(SOON) == 0, (moment, process.log)
         assert not re.search('Traceback|rror|KeyboardInterrupt', process.log)
 
 
@@ -270,11 +270,13 @@ BAD_PARAMETERS = [
 
 
 @pytest.fixture(scope='module')
-def failures(site: Site) -> list[NodeProcess]:
+def failures(site: Site) -> Iterator[list[NodeProcess]]:
     """Nodes that cannot start, at the same time."""
-    return [
-        site.start('obb_to_hbb', parameters=parameters) for parameters, _ in BAD_PARAMETERS
-    ]
+    with contextlib.ExitStack() as stack:
+        yield [
+            stack.enter_context(site.start('obb_to_hbb', parameters=parameters))
+            for parameters, _ in BAD_PARAMETERS
+        ]
 
 
 @pytest.mark.parametrize('case', range(len(BAD_PARAMETERS)))
@@ -299,8 +301,8 @@ def test_bad_parameters_end_the_start_with_one_line(
 def test_a_bad_command_line_ends_the_start_without_traceback(
     site: Site, arguments: list[str], text: str
 ) -> None:
-    process = site.start('obb_to_hbb', arguments=arguments)
-    assert process.wait() == 1
+    with site.start('obb_to_hbb', arguments=arguments) as process:
+        assert process.wait() == 1
     # A library of ROS may have logged something before.
     line = process.log.splitlines()[-1]
     assert line.startswith('cannot start: ')

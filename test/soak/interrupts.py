@@ -31,13 +31,13 @@ EXECUTABLES = ('obb_to_hbb', 'chip_extractor', 'play_detections')
 
 def interrupted(site: Site, executable: str, source: random.Random) -> str:
     """Start, interrupt twice, and tell how it ended."""
-    process = site.start(executable)
-    time.sleep(source.uniform(0.0, 2.0))
-    early = not process.has_signals_in_hand
-    process.send_signal(signal.SIGINT)
-    time.sleep(source.uniform(0.0, 0.05))
-    process.send_signal(signal.SIGINT)
-    code = process.wait()
+    with site.start(executable) as process:
+        time.sleep(source.uniform(0.0, 2.0))
+        early = not process.has_signals_in_hand
+        process.send_signal(signal.SIGINT)
+        time.sleep(source.uniform(0.0, 0.05))
+        process.send_signal(signal.SIGINT)
+        code = process.wait()
     if early:
         return 'before the first line'
     loud = [line for line in process.log.splitlines() if '[INFO]' not in line]

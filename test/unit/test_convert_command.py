@@ -120,9 +120,11 @@ def test_every_format_goes_in(
 
 
 def test_every_parameter_of_the_conversion_counts(source: Path, tmp_path: Path) -> None:
+    # The caps bind this one only.
+    (source / 'P3.txt').write_text('0 0 100 0 100 30 0 30 ship 0\n')
     path = tmp_path / 'out.csv'
     parameters = {
-        'method': 'shape_aware', 'q': 2.2, 'f': 0.9, 's': 1.1, 'max_length': 50, 'max_width': 12,
+        'method': 'shape_aware', 'q': 4.0, 'f': 0.9, 's': 1.1, 'max_length': 80, 'max_width': 25,
     }  # fmt: skip
     options = [
         text
