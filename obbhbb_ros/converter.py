@@ -26,7 +26,7 @@ F_RANGE = S_RANGE = (0.0, 2.0)
 @dataclass(frozen=True)
 class HullRule:
     """
-    A conversion rule with its shape parameters.
+    A conversion rule with its shape parameters; a value out of range raises ValueError.
 
     Attributes
     ----------
@@ -38,11 +38,6 @@ class HullRule:
         Fullness in (0, 2]: scales the half-width.
     s : float
         Shrink factor in (0, 2]: scales the half-extents.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of range; the message names it.
 
     Examples
     --------
@@ -74,18 +69,13 @@ PAPER_RULE = HullRule('shape_aware', q=2.2, f=0.9, s=1.0)
 @dataclass(frozen=True)
 class Caps:
     """
-    The largest plausible ship, `L_max` and `W_max` of Algorithm 1.
+    The largest plausible ship, `L_max` and `W_max` of Algorithm 1; ValueError if not positive.
 
     Attributes
     ----------
     max_length, max_width : float or None
         Upper bounds of the longer and the shorter extent of the axis-aligned box, pixels; None
         for no bound.
-
-    Raises
-    ------
-    ValueError
-        If a bound is not positive; the message names it.
     """
 
     max_length: float | None = None
@@ -211,7 +201,9 @@ def half_extents(
     caps: Caps = NO_CAPS,
 ) -> FloatArray:
     """
-    Compute half-extents along x and y, with one rule per class.
+    Compute half-extents along x and y, (2, N), with one rule per class.
+
+    Columns are NaN where the box cannot be converted.
 
     Parameters
     ----------
@@ -221,11 +213,6 @@ def half_extents(
         The rules, and for each box the index of its rule, by default 0.
     caps : Caps
         Bounds of the result, the same for all.
-
-    Returns
-    -------
-    ndarray of float64, shape (2, N)
-        Half-extents, pixels; NaN columns where the box cannot be converted.
 
     Examples
     --------

@@ -249,12 +249,7 @@ ONBOARD_METHODS: tuple[str, ...] = tuple(m.name for m in METHODS.values() if m.o
 
 def get_method(name: str) -> Method:
     """
-    Look up a rule in `METHODS`.
-
-    Raises
-    ------
-    ValueError
-        If there is no rule of that name; the message lists the names.
+    Look up a rule in `METHODS`; ValueError with the known names if there is none.
 
     Examples
     --------

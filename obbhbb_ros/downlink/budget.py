@@ -41,7 +41,7 @@ class Dropped(str, Enum):
 @dataclass(frozen=True)
 class BudgetSettings:
     """
-    Limits of the link and of each frame.
+    Limits of the link and of each frame; a negative or infinite value raises ValueError.
 
     Attributes
     ----------
@@ -57,11 +57,6 @@ class BudgetSettings:
         Maximum bytes per frame (0: unlimited).
     min_quality : int
         A chip that does not fit is encoded again, down to this quality (0: dropped at once).
-
-    Raises
-    ------
-    ValueError
-        If a value is negative or not finite; the message names it.
     """
 
     bytes_per_second: float = 0.0

@@ -90,7 +90,7 @@ CODECS: dict[str, Codec] = {
 @dataclass(frozen=True)
 class CodecSettings:
     """
-    How chips are encoded.
+    How chips are encoded; values out of range or in conflict raise ValueError.
 
     Attributes
     ----------
@@ -100,11 +100,6 @@ class CodecSettings:
         1 to 100, for lossy encoding. For JPEG 2000, percent of the size of the raw pixels.
     lossless : bool
         Whether encoding must be lossless; PNG always is.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of range or the codec is never lossless; the message names it.
 
     Examples
     --------

@@ -11,7 +11,6 @@ on the order of the boxes.
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
 from itertools import pairwise
@@ -40,7 +39,7 @@ class LeftOut(str, Enum):
 @dataclass(frozen=True)
 class CropSettings:
     """
-    How boxes become regions.
+    How boxes become regions; values out of range or in conflict raise ValueError.
 
     Attributes
     ----------
@@ -66,12 +65,6 @@ class CropSettings:
     max_pixels : int
         Maximum pixels of all regions of a frame together (0: unlimited). A region that exceeds
         the remaining pixels is left out; less valuable ones that fit are kept.
-
-    Raises
-    ------
-    ValueError
-        If a value is negative, or no side satisfies `min_size`, `max_size` and `multiple_of`; the
-        message names it.
 
     Examples
     --------
@@ -177,11 +170,6 @@ def plan_crops(
     weights : ndarray, shape (N,), optional
         Weight of each box's score, 0 or more; 1 by default.
 
-    Returns
-    -------
-    CropPlan
-        The regions in descending value.
-
     Examples
     --------
     >>> xyxy = np.array([[10.2, 20.0, 50.0, 40.0], [200.0, 90.0, 230.0, 99.9], [12, 22, 52, 42]])
@@ -217,7 +205,8 @@ def plan_crops(
     offsets = np.arange(len(rows) + 1)
     if settings.merge_max_size and len(rows) > 1:
         corners, rows, offsets = _merged(corners, values[order], rows, image_size, settings)
-    if _exceed_limits(corners, settings):
+    too_many = 0 < settings.max_count < corners.shape[1]
+    if too_many or 0 < settings.max_pixels < _pixels(corners).sum():
         sizes = np.diff(offsets)
         kept, over = _within_limits(corners, sizes, settings)
         left_out |= over
@@ -270,28 +259,24 @@ def _merged(
     return merged[:, order], rows[members], _offsets(np.bincount(rank))
 
 
-def _exceed_limits(corners: NDArray[np.int64], settings: CropSettings) -> bool:
-    """Check whether the regions together exceed the limits of a frame."""
-    if 0 < settings.max_count < corners.shape[1]:
-        return True
-    return bool(settings.max_pixels and _pixels(corners).sum() > settings.max_pixels)
-
-
 def _within_limits(
     corners: NDArray[np.int64], sizes: NDArray[np.intp], settings: CropSettings
-) -> tuple[NDArray[np.bool_], Counter[LeftOut]]:
+) -> tuple[NDArray[np.bool_], dict[LeftOut, int]]:
     """Select regions in order up to the limits of a frame, and count the boxes of the others."""
-    kept: list[bool] = []
-    left_out: Counter[LeftOut] = Counter()
-    count, pixels = settings.max_count or np.inf, settings.max_pixels or np.inf
-    for size, boxes in zip(_pixels(corners).tolist(), sizes.tolist(), strict=True):
-        kept.append(count > 0 and size <= pixels)
-        if kept[-1]:
+    kept = np.zeros(len(sizes), np.bool_)
+    count, left = settings.max_count or len(sizes), settings.max_pixels or np.inf
+    pixels = _pixels(corners).tolist()
+    index = 0
+    while index < len(sizes) and count:
+        if pixels[index] <= left:
+            kept[index] = True
             count -= 1
-            pixels -= size
-        else:
-            left_out[LeftOut.MAX_PIXELS if count else LeftOut.MAX_COUNT] += boxes
-    return np.array(kept), left_out
+            left -= pixels[index]
+        index += 1
+    return kept, {
+        LeftOut.MAX_PIXELS: int(sizes[:index][~kept[:index]].sum()),
+        LeftOut.MAX_COUNT: int(sizes[index:].sum()),
+    }
 
 
 def _offsets(sizes: NDArray[np.intp]) -> NDArray[np.intp]:
