@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Axis-aligned boxes and crop regions from oriented detections."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 from typing import Any
 
@@ -10,21 +11,16 @@ if TYPE_CHECKING:
 
 __all__ = ['OrientedBoxes', 'convert']
 
-_HOMES = {'OrientedBoxes': 'obbhbb_ros.boxes', 'convert': 'obbhbb_ros.converter'}
-
 
 def __getattr__(name: str) -> Any:
     """
-    Import what the package exports when somebody asks for it.
+    Import the exported names on first use.
 
-    NumPy and shapely take 0.15 s to import: a node has its signals in hand before that.
+    NumPy and shapely take 0.15 s to import, and a node must handle signals before that.
     """
     if name == '__version__':
-        from importlib.metadata import version
-
-        return version('obbhbb_ros')
-    if name in _HOMES:
-        from importlib import import_module
-
-        return getattr(import_module(_HOMES[name]), name)
+        return import_module('importlib.metadata').version('obbhbb_ros')
+    if name in __all__:
+        module = {'OrientedBoxes': 'boxes', 'convert': 'converter'}[name]
+        return getattr(import_module(f'obbhbb_ros.{module}'), name)
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

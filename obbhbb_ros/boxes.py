@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Arrays of oriented boxes, from corners, from centre, size and angle, and from polygons.
+Arrays of oriented boxes, from corners, from centre, size and angle, or from polygons.
 
 Image coordinates: x to the right, y down, pixels, pixel i covering [i, i + 1). Axis-aligned
 extents are even in the angle and have period pi, so its sense of rotation does not matter.
@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
 from enum import IntEnum
 from typing import Any
 from typing import TypeAlias
@@ -22,29 +24,28 @@ from numpy.typing import NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
 
-
-# Boxes worked on at a time: the temporaries of so many stay in a core's own cache.
+# Boxes processed at a time, so that the temporaries stay in a core's cache.
 BLOCK = 8192
 
+# Products of numbers below _LARGE do not overflow, areas of sides above _SMALL do not underflow.
+_LARGE = 1e150
+_SMALL = 1e-150
 
-# Of numbers up to here no product overflows; of sides from here on no area vanishes.
-LARGE = 1e150
-_FLOAT = np.dtype(np.float64)
-SMALL = 1e-150
-
-# Farther out a double no longer resolves a tenth of a pixel, and GEOS fails: from 1e15 on with an
+# Beyond this a double no longer resolves a tenth of a pixel, and GEOS fails: from 1e15 on with an
 # exception or NaN, from 1e154 on, where squares overflow, with a segmentation fault.
 FARTHEST = 1e15
 
+_FLOAT = np.dtype(np.float64)
+
 
 def blocks(count: int) -> list[slice]:
-    """Cut `count` rows into slices that fit a core's cache."""
+    """Split `count` rows into slices of at most `BLOCK` rows."""
     return [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
 
 
 class Defect(IntEnum):
     """
-    Why a box cannot be converted; `NONE` where it can.
+    Why a box cannot be converted; `NONE` if it can.
 
     `NO_RECTANGLE`: a polygon has coordinates beyond `FARTHEST`, or shapely fails on it.
     """
@@ -57,15 +58,16 @@ class Defect(IntEnum):
     NO_RECTANGLE = 5
 
 
+@dataclass(eq=False, repr=False, slots=True)
 class OrientedBoxes:
     """
-    N oriented boxes, kept as centres and half edges.
+    N oriented boxes, stored as centres and half edges.
 
-    Build one with `from_corners`, `from_xywhr` or `from_polygons`. Which side is the longer one
-    never matters there. Boxes that cannot be converted keep their place and are marked in
-    `defects`; their numbers are NaN.
+    Create them with `from_corners`, `from_xywhr` or `from_polygons`, which accept the long side in
+    either place, keep the order of the input, and raise ValueError if it has another shape or
+    contains anything but numbers. Boxes that cannot be converted have NaN coordinates and a defect.
 
-    Parameters
+    Attributes
     ----------
     center : ndarray, shape (2, N)
         x and y of the centres, pixels.
@@ -74,61 +76,43 @@ class OrientedBoxes:
     defects : ndarray of uint8, shape (N,)
         A `Defect` for each box.
     regular : bool
-        Whether it is known that no box has a defect and that no number is so large or so small
-        that a rule could overflow: then nobody needs to look for it.
-
-    Attributes
-    ----------
-    center, first, second, defects, regular
-        As given.
+        True if no box has a defect and no conversion can overflow, so that callers can skip these
+        checks.
     """
 
-    __slots__ = ('_axes', 'center', 'defects', 'first', 'regular', 'second')
-
-    def __init__(
-        self,
-        center: FloatArray,
-        first: FloatArray,
-        second: FloatArray,
-        defects: NDArray[np.uint8],
-        regular: bool = False,
-    ) -> None:
-        self.center = center
-        self.first = first
-        self.second = second
-        self.defects = defects
-        self.regular = regular
-        self._axes: tuple[FloatArray, FloatArray] | None = None
+    center: FloatArray
+    first: FloatArray
+    second: FloatArray
+    defects: NDArray[np.uint8]
+    regular: bool = False
+    _axes: tuple[FloatArray, FloatArray] | None = field(default=None, init=False)
 
     @classmethod
     def from_corners(cls, corners: ArrayLike) -> OrientedBoxes:
         """
-        Take boxes from their corners.
+        Create boxes from their corners.
 
         Parameters
         ----------
         corners : array_like, shape (N, 4, 2)
-            x and y of the corners in order around each box, pixels; either sense, any start.
-            Corners that are not quite a rectangle, as rounding leaves them, give their mean edges
-            about the middle of the diagonal that is the longer one on each axis. Crossed corners
-            have no area and are marked empty; `from_polygons` takes vertices in any order.
+            x and y of the corners in order around each box, pixels; in either direction, from any
+            corner. Corners that are not exactly a rectangle, for example after rounding, give
+            their mean edges, centred on each axis on the diagonal that is longer along it.
+            Crossed corners have no area and are marked as empty; `from_polygons` accepts vertices
+            in any order.
 
-        Returns
-        -------
-        OrientedBoxes
-            The boxes, in the same order.
-
-        Raises
-        ------
-        ValueError
-            If `corners` does not have that shape or holds anything but numbers.
+        Examples
+        --------
+        >>> boxes = OrientedBoxes.from_corners([[[20, 30], [80, 30], [80, 50], [20, 50]]])
+        >>> boxes.length, boxes.width
+        (array([60.]), array([20.]))
         """
         return _in_blocks(_as_array(corners, 'corners', (4, 2)), _boxes_of_corners)
 
     @classmethod
     def from_xywhr(cls, xywhr: ArrayLike) -> OrientedBoxes:
         """
-        Take boxes from centre, size and angle.
+        Create boxes from centre, size and angle.
 
         Parameters
         ----------
@@ -136,86 +120,56 @@ class OrientedBoxes:
             Centre x and y, extent along `theta`, extent across it (pixels), `theta` (radians from
             image +x).
 
-        Returns
-        -------
-        OrientedBoxes
-            The boxes, in the same order.
-
-        Raises
-        ------
-        ValueError
-            If `xywhr` does not have that shape or holds anything but numbers.
+        Examples
+        --------
+        >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]])
+        >>> boxes.corners[0].tolist()
+        [[20.0, 30.0], [80.0, 30.0], [80.0, 50.0], [20.0, 50.0]]
         """
         return _in_blocks(_as_array(xywhr, 'xywhr', (5,)), _boxes_of_xywhr)
 
     @classmethod
     def from_polygons(cls, polygons: Iterable[ArrayLike]) -> OrientedBoxes:
         """
-        Take the minimum rotated rectangle of each polygon.
+        Create the minimum rotated rectangle of each polygon.
 
         Parameters
         ----------
         polygons : iterable of array_like, each of shape (K, 2)
-            x and y of the vertices, pixels; any number, any order, closed or not.
+            x and y of the vertices, pixels; any number, in any order, closed or not.
 
-        Returns
-        -------
-        OrientedBoxes
-            The boxes, in the same order.
-
-        Raises
-        ------
-        ValueError
-            If a polygon does not have that shape or holds anything but numbers; the message says
-            which.
+        Examples
+        --------
+        >>> boxes = OrientedBoxes.from_polygons([
+        ...     [[0, 0], [55, 0], [60, 10], [55, 20], [0, 20]],
+        ...     [[0, 0], [1, 1]],
+        ... ])
+        >>> boxes.valid
+        array([ True, False])
+        >>> Defect(boxes.defects[1]).name
+        'TOO_FEW_POINTS'
         """
         rings = [
             _as_array(polygon, f'polygons[{i}]', (2,)) for i, polygon in enumerate(polygons)
         ]
         defects = np.array([_ring_defect(ring) for ring in rings], np.uint8)
         corners = np.full((len(rings), 4, 2), np.nan)
-        usable = np.flatnonzero(defects == Defect.NONE)
-        if usable.size:
-            corners[usable] = _minimum_rotated_rectangles([rings[i] for i in usable])
+        usable = defects == Defect.NONE
+        if usable.any():
+            corners[usable] = _minimum_rotated_rectangles(
+                [ring for ring, use in zip(rings, usable, strict=True) if use]
+            )
         boxes = cls.from_corners(corners)
-        known = defects != Defect.NONE
-        boxes.defects[known] = defects[known]
-        boxes.defects[~known & (boxes.defects == Defect.NOT_FINITE)] = Defect.NO_RECTANGLE
+        boxes.defects[usable & (boxes.defects == Defect.NOT_FINITE)] = Defect.NO_RECTANGLE
+        boxes.defects[~usable] = defects[~usable]
         return boxes
-
-    def mark(self, which: NDArray[np.bool_], defect: Defect) -> None:
-        """
-        Mark boxes as defective, and let no number of theirs reach a caller.
-
-        Parameters
-        ----------
-        which : ndarray of bool, shape (N,)
-            The boxes.
-        defect : Defect
-            What is wrong with them.
-        """
-        self.defects[which] = defect
-        for array in (self.center, self.first, self.second):
-            array[:, which] = np.nan
 
     def __len__(self) -> int:
         """Count the boxes."""
         return self.defects.shape[0]
 
     def take(self, rows: Any) -> OrientedBoxes:
-        """
-        Select boxes.
-
-        Parameters
-        ----------
-        rows : slice, ndarray of int or ndarray of bool
-            What NumPy takes as an index of N rows.
-
-        Returns
-        -------
-        OrientedBoxes
-            Those boxes, in that order.
-        """
+        """Select boxes by any NumPy index of N rows: a slice, indices or a mask."""
         return OrientedBoxes(
             self.center[:, rows], self.first[:, rows], self.second[:, rows], self.defects[rows],
             self.regular,
@@ -232,7 +186,7 @@ class OrientedBoxes:
         return self._sorted_axes()[1]
 
     def _sorted_axes(self) -> tuple[FloatArray, FloatArray]:
-        """Sort the half edges by length, once."""
+        """Return long and short axis, sorted on first use."""
         if self._axes is None:
             with np.errstate(over='ignore'):
                 self._axes = longer_first(self.first, self.second)
@@ -245,13 +199,15 @@ class OrientedBoxes:
 
     @property
     def length(self) -> FloatArray:
-        """Length of the long side, pixels, shape (N,)."""
-        return _whole(self.long_axis)
+        """Length of the long side, pixels, shape (N,); infinite if it overflows."""
+        with np.errstate(over='ignore'):
+            return 2.0 * np.hypot(*self.long_axis)
 
     @property
     def width(self) -> FloatArray:
-        """Length of the short side, pixels, shape (N,)."""
-        return _whole(self.short_axis)
+        """Length of the short side, pixels, shape (N,); infinite if it overflows."""
+        with np.errstate(over='ignore'):
+            return 2.0 * np.hypot(*self.short_axis)
 
     @property
     def theta(self) -> FloatArray:
@@ -269,29 +225,41 @@ class OrientedBoxes:
 
 
 def longer_first(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """
-    Sort pairs of vectors by length.
-
-    Parameters
-    ----------
-    first, second : ndarray, shape (2, N)
-        The vectors of each pair; the squares of their lengths must be finite.
-
-    Returns
-    -------
-    longer, shorter : ndarray, shape (2, N)
-        The first ones where both are of one length.
-    """
+    """Sort pairs of vectors, (2, N) each, by length; squared lengths must be finite."""
     swap = second[0] * second[0] + second[1] * second[1] > first[0] * first[0] + first[1] * first[1]
     if not swap.any():
         return first, second
     return np.where(swap, second, first), np.where(swap, first, second)
 
 
+def range_defect(points: FloatArray) -> Defect:
+    """Check that no coordinate, (K, 2), is out of range for GEOS."""
+    # NaN passes through the maximum and compares as false.
+    if np.abs(points).max(initial=0.0) <= FARTHEST:
+        return Defect.NONE
+    return Defect.NO_RECTANGLE if np.isfinite(points).all() else Defect.NOT_FINITE
+
+
+def _as_array(values: ArrayLike, name: str, row_shape: tuple[int, ...]) -> FloatArray:
+    """Convert `values` to float64 rows of `row_shape`."""
+    if type(values) is np.ndarray and values.dtype == _FLOAT and values.shape[1:] == row_shape:
+        return values
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f'{name} must be an array of numbers: {error}') from None
+    if array.size == 0 and array.ndim <= 1:
+        array = array.reshape((0, *row_shape))
+    if array.shape[1:] != row_shape or array.ndim != len(row_shape) + 1:
+        expected = ', '.join(('N', *map(str, row_shape)))
+        raise ValueError(f'{name} must have shape ({expected}), not {array.shape}')
+    return array
+
+
 def _in_blocks(
     array: FloatArray, boxes_of: Callable[[FloatArray], OrientedBoxes]
 ) -> OrientedBoxes:
-    """Make boxes of some rows at a time."""
+    """Create boxes block by block."""
     if len(array) <= BLOCK:
         return boxes_of(array)
     center, first, second = np.empty((3, 2, len(array)))
@@ -305,49 +273,62 @@ def _in_blocks(
 
 
 def _boxes_of_corners(corners: FloatArray) -> OrientedBoxes:
-    """Make boxes of corners, (n, 4, 2)."""
-    # Transposed and quartered at once: all that follows runs along contiguous memory.
+    """Create boxes from corners, (n, 4, 2)."""
+    # One transposed copy, so that everything below runs along contiguous memory.
     quarters = np.multiply(corners.transpose(1, 2, 0), 0.25, order='C')
-    if _none_large(quarters):
-        boxes = _lay_corners(quarters)
-        if np.minimum.reduce(_areas(boxes), initial=np.inf) > SMALL**2:
+    if _all_below_large(quarters):
+        boxes = _from_quarters(quarters)
+        if np.minimum.reduce(_areas(boxes), initial=np.inf) > _SMALL**2:
             boxes.regular = True
             return boxes
     with np.errstate(invalid='ignore', over='ignore'):
-        boxes = _lay_corners(quarters)
+        boxes = _from_quarters(quarters)
         _mark_unusable(boxes)
         return boxes
 
 
 def _boxes_of_xywhr(xywhr: FloatArray) -> OrientedBoxes:
-    """Make boxes of centre, size and angle, (n, 5)."""
+    """Create boxes from centre, size and angle, (n, 5)."""
     columns = xywhr.T
     sizes = columns[2:4]
-    if _none_large(columns) and np.minimum.reduce(sizes, axis=None, initial=np.inf) > SMALL:
-        boxes = _lay_columns(columns)
+    if _all_below_large(columns) and np.minimum.reduce(sizes, axis=None, initial=np.inf) > _SMALL:
+        boxes = _from_columns(columns)
         boxes.regular = True
         return boxes
     with np.errstate(invalid='ignore', over='ignore'):
-        boxes = _lay_columns(columns)
+        boxes = _from_columns(columns)
         _mark_unusable(boxes)
     negative = (sizes < 0.0).any(axis=0)
-    boxes.mark(negative & (boxes.defects != Defect.NOT_FINITE), Defect.NEGATIVE_SIZE)
+    _mark(boxes, negative & (boxes.defects != Defect.NOT_FINITE), Defect.NEGATIVE_SIZE)
     return boxes
 
 
-def _lay_corners(quarters: FloatArray) -> OrientedBoxes:
-    """Lay boxes through corners, given as a quarter of each, (4, 2, n)."""
+def _all_below_large(numbers: FloatArray) -> bool:
+    """Check that all numbers are finite and no product of two can overflow."""
+    # NaN passes through the maximum and compares as false.
+    return bool(np.maximum.reduce(np.abs(numbers), axis=None, initial=0.0) < _LARGE)
+
+
+def _from_quarters(quarters: FloatArray) -> OrientedBoxes:
+    """Create boxes from corners, scaled by 1/4, (4, 2, n)."""
     diagonals = quarters[2:] - quarters[:2]
     first, second = diagonals[0] - diagonals[1], diagonals[0] + diagonals[1]
-    # Not the mean of the corners: so `outer` is their minimum and maximum even where they were
-    # rounded to whole pixels. Edges of one sign make their sum the longer diagonal.
+    # The middle of the longer diagonal on each axis, not the mean of the corners: `outer` is then
+    # their minimum and maximum even if they were rounded to whole pixels. If both edges have the
+    # same sign, their sum is the longer diagonal; if not, the other diagonal is. The selection
+    # works on the bits, which takes a third of the time of np.where.
     middles = quarters[2:] + quarters[:2]
-    _take_second_where_signs_differ(middles, first, second)
+    signs_differ = np.bitwise_xor(first.view(np.int64), second.view(np.int64))
+    signs_differ >>= 63
+    middle, other = middles.view(np.int64)
+    other ^= middle
+    other &= signs_differ
+    middle ^= other
     return OrientedBoxes(middles[0] * 2.0, first, second, np.zeros(first.shape[1], np.uint8))
 
 
-def _lay_columns(columns: FloatArray) -> OrientedBoxes:
-    """Lay boxes of x, y, width, height and theta, (5, n)."""
+def _from_columns(columns: FloatArray) -> OrientedBoxes:
+    """Create boxes from x, y, width, height and theta, (5, n)."""
     half = columns[2:4] * 0.5
     theta = columns[4]
     direction = np.empty((2, len(theta)))
@@ -370,61 +351,19 @@ def _mark_unusable(boxes: OrientedBoxes) -> None:
     numbers = np.concatenate((boxes.center, boxes.first, boxes.second))
     finite = np.logical_and.reduce(np.isfinite(numbers))
     empty = finite & (_areas(boxes) == 0.0)
-    boxes.mark(~finite, Defect.NOT_FINITE)
-    boxes.mark(empty, Defect.EMPTY)
+    _mark(boxes, ~finite, Defect.NOT_FINITE)
+    _mark(boxes, empty, Defect.EMPTY)
 
 
-def _as_array(values: ArrayLike, name: str, row_shape: tuple[int, ...]) -> FloatArray:
-    """Read `values` as float64 rows of `row_shape`, or say what is wrong with them."""
-    if type(values) is np.ndarray and values.dtype == _FLOAT and values.shape[1:] == row_shape:
-        return values
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f'{name} must be an array of numbers: {error}') from None
-    if array.size == 0 and array.ndim <= 1:
-        array = array.reshape((0, *row_shape))
-    if array.shape[1:] != row_shape or array.ndim != len(row_shape) + 1:
-        wanted = ', '.join(('N', *map(str, row_shape)))
-        raise ValueError(f'{name} must have shape ({wanted}), not {array.shape}')
-    return array
-
-
-def _none_large(numbers: FloatArray) -> bool:
-    """Tell whether all numbers are finite and so small that no product of two overflows."""
-    # NaN passes through the maximum, and compares as false.
-    return bool(np.maximum.reduce(np.abs(numbers), axis=None, initial=0.0) < LARGE)
-
-
-def _take_second_where_signs_differ(
-    pair: FloatArray, first: FloatArray, second: FloatArray
-) -> None:
-    """Write `pair[1]` to `pair[0]` where `first` and `second` differ in sign; uses `pair[1]` up."""
-    # On the bits, which takes a third of the time of np.where.
-    differ = np.bitwise_xor(first.view(np.int64), second.view(np.int64))
-    differ >>= 63
-    chosen, other = pair.view(np.int64)
-    other ^= chosen
-    other &= differ
-    chosen ^= other
-
-
-def _whole(half: FloatArray) -> FloatArray:
-    """Give twice the length of half edges; infinite where that overflows."""
-    with np.errstate(over='ignore'):
-        return 2.0 * np.hypot(half[0], half[1])
-
-
-def range_defect(points: FloatArray) -> Defect:
-    """Tell whether there is a coordinate, (K, 2), that GEOS must not see."""
-    # NaN passes through the maximum, and compares as false.
-    if np.abs(points).max(initial=0.0) <= FARTHEST:
-        return Defect.NONE
-    return Defect.NO_RECTANGLE if np.isfinite(points).all() else Defect.NOT_FINITE
+def _mark(boxes: OrientedBoxes, which: NDArray[np.bool_], defect: Defect) -> None:
+    """Set the defect of some boxes, and their coordinates to NaN."""
+    boxes.defects[which] = defect
+    for array in (boxes.center, boxes.first, boxes.second):
+        array[:, which] = np.nan
 
 
 def _ring_defect(ring: FloatArray) -> Defect:
-    """Tell why no rectangle can be laid around a polygon's vertices."""
+    """Find out why a polygon has no minimum rotated rectangle."""
     defect = range_defect(ring)
     if defect != Defect.NOT_FINITE and len(set(map(tuple, ring.tolist()))) < 3:
         return Defect.TOO_FEW_POINTS
@@ -432,17 +371,10 @@ def _ring_defect(ring: FloatArray) -> Defect:
 
 
 def _minimum_rotated_rectangles(rings: Sequence[FloatArray]) -> FloatArray:
-    """
-    Lay the smallest rectangle around each ring.
-
-    Returns
-    -------
-    ndarray, shape (N, 4, 2)
-        Corners; all zero where the rectangle has no area, NaN where shapely fails.
-    """
+    """Compute the corners, (N, 4, 2): zero if there is no area, NaN if shapely fails."""
     owner = np.repeat(np.arange(len(rings)), [len(ring) for ring in rings])
-    # The rectangle depends on the convex hull alone, so a crossed or open ring does no harm, and a
-    # line is made in a third of the time that points take.
+    # The rectangle depends on the convex hull only, so a crossed or open ring does no harm, and
+    # line strings take a third of the time of multipoints.
     envelopes = _oriented_envelopes(shapely.linestrings(np.concatenate(rings), indices=owner))
     corners = np.zeros((len(rings), 4, 2))
     corners[shapely.is_missing(envelopes)] = np.nan
@@ -454,13 +386,13 @@ def _minimum_rotated_rectangles(rings: Sequence[FloatArray]) -> FloatArray:
 
 
 def _oriented_envelopes(geometries: Any) -> Any:
-    """Lay oriented envelopes around geometries; None for those that GEOS fails on."""
+    """Compute oriented envelopes; None where GEOS fails."""
     try:
         with np.errstate(all='ignore'):
             return shapely.oriented_envelope(geometries)
     except shapely.errors.GEOSException:
         if len(geometries) == 1:
             return np.array([None])
-    # It does not tell which of them it was.
+    # GEOS does not say which geometry failed, so try them one by one.
     return np.concatenate([_oriented_envelopes(geometries[i : i + 1])
                            for i in range(len(geometries))])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line `obbhbb`: what happens around a command, see `obbhbb_ros.commands`."""
+"""The command line `obbhbb`: errors and signals of the commands in `obbhbb_ros.commands`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import signal
 import sys
 from collections.abc import Sequence
 
-# What a shell adds to the number of the signal that ended a command.
+# Shells add this to the number of the signal that ended a command.
 _BY_SIGNAL = 128
 
 
@@ -28,20 +28,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     for name in ('stdout', 'stderr'):
         if getattr(sys, name) is None:
-            # Closed by whoever started the command; what it prints goes nowhere.
+            # Closed by the caller: output is discarded.
             setattr(sys, name, open(os.devnull, 'w', encoding='utf-8'))  # noqa: SIM115
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        # Here, so that Ctrl-C ends the command in silence while NumPy and shapely are loading.
+        # Imported here so that Ctrl-C while NumPy and shapely load prints no traceback.
         from obbhbb_ros.commands import run
 
         code = run(given)
-        # Here rather than when Python ends, where nothing can be said any more.
+        # Flushed here, because errors when Python exits cannot be reported.
         sys.stdout.flush()
     except KeyboardInterrupt:
         return _BY_SIGNAL + signal.SIGINT
     except BrokenPipeError:
-        # Whoever read the output, `head` for one, has seen enough.
+        # The reader of the output, such as `head`, has closed it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return _BY_SIGNAL + signal.SIGPIPE
     except (ImportError, OSError, ValueError) as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands of `obbhbb`: their options, and what each of them runs and prints."""
+"""The commands of `obbhbb`: their options, what they run and what they print."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _convert_options(add: _Add) -> None:
 
 def _convert(options: _Options) -> int:
     """Convert label files of oriented boxes to label files of axis-aligned boxes."""
-    # Conversion fills tables: looking through them for garbage takes a fifth of its time.
+    # Conversion makes many objects, and garbage collection would take a fifth of its time.
     gc.disable()
     try:
         tally = convert_file(
@@ -143,10 +143,10 @@ def _evaluate_options(add: _Add) -> None:
         add(f'--{name}', type=float,
             help=f'{meaning}, of the tunable methods; default: that of each method')
     _add_numbers(add, evaluation.DEFAULT_SETTINGS, {
-        'threshold': 'IoU from which a box matches',
-        'keep': 'share of the reference that a box has to keep to be counted',
+        'threshold': 'lowest IoU of a match',
+        'keep': 'share of the reference box that a box must contain to count as kept',
         'bootstrap': 'bootstrap samples for the confidence intervals, 0 for none',
-        'seed': 'seed of the samples',
+        'seed': 'seed of the bootstrap samples',
     })
     add('--json', type=Path, help='JSON file to write the scores to')
     add('--csv', type=Path, help='CSV file to write the scores to')
@@ -181,21 +181,23 @@ def _calibrate_options(add: _Add) -> None:
     plan = calibration.DEFAULT_PLAN
     _add_labels(add, '*')
     add('--synthetic', action='store_true', help="the paper's synthetic hulls instead of labels")
-    add('--method', choices=rules.TUNABLE_METHODS, default=plan.method, help='default: %(default)s')
+    add('--method', choices=rules.TUNABLE_METHODS, default=plan.method,
+        help='method to calibrate; default: %(default)s')
     aims = '; '.join(f'{name}: {each.summary}' for name, each in calibration.OBJECTIVES.items())
     add('--objective', choices=tuple(calibration.OBJECTIVES), default=plan.objective,
         help=f'{aims}; default: %(default)s')
-    add('--grid', choices=tuple(GRIDS), default='paper', help='default: %(default)s')
+    add('--grid', choices=tuple(GRIDS), default='paper',
+        help='settings to search; default: %(default)s')
     add('--refine', action=argparse.BooleanOptionalAction, default=plan.refine,
         help='refine the best setting of the grid (default); --no-refine is Algorithm 2')
     _add_numbers(add, plan, {
-        'keep': 'objective coverage: share of its reference box that a ship has to keep',
-        'share': 'objective coverage: share of ships that have to keep it',
-        'seed': 'seed of all splits',
+        'keep': 'objective coverage: share of the reference box that a box must contain',
+        'share': 'objective coverage: share of ships whose box must contain that much',
+        'seed': 'seed of all random splits',
     })
     add('--exchangeable', choices=('ships', 'images'), default='ships',
-        help='objective coverage: what the guarantee takes as exchangeable; images if the ships '
-        'of an image resemble each other; default: %(default)s')
+        help='objective coverage: what the guarantee assumes to be exchangeable; use images if '
+        'the ships of an image are alike; default: %(default)s')
     add('--folds', type=int, default=5,
         help='folds of the cross-validation by image, 0 for none; default: %(default)s')
     add('--per-class', action='store_true', help='try a rule for each class')
@@ -230,7 +232,7 @@ def _calibrate(options: _Options) -> int:
     print(text)
     if options.output:
         notes = [f'Written by: obbhbb {shlex.join(options.given)}', *text.splitlines()]
-        # No detector calls its ships by the names of synthetic families.
+        # The class names of synthetic ships are not those of any detector.
         own = {} if options.synthetic else outcome.rule_of_class
         write_text(options.output, yaml_text(outcome.rule, own, notes))
         print(f'\nwritten: {options.output}')
@@ -242,7 +244,7 @@ def _report_options(add: _Add) -> None:
     add('-o', '--output', type=Path, default=Path('out/report.html'), help='default: %(default)s')
     add('--gallery', type=int, default=24, metavar='N',
         help='maximum number of ships to draw, the worst first; default: %(default)s')
-    _add_numbers(add, evaluation.DEFAULT_SETTINGS, {'seed': 'seed of all samples'})
+    _add_numbers(add, evaluation.DEFAULT_SETTINGS, {'seed': 'seed of all random numbers'})
 
 
 def _report(options: _Options) -> int:
@@ -265,9 +267,9 @@ def _chips_options(add: _Add) -> None:
 
 
 def _chips(options: _Options) -> int:
-    """Compare the chips of the methods: pixels, and bytes by codec."""
+    """Compare the size of the chips of each method: pixels, and bytes by codec."""
     if options.labels is None:
-        what, source = 'a synthetic harbour, no pixel of it real', harbour()
+        what, source = 'a synthetic harbour (no real pixels)', harbour()
         pictures = [(source, chip_costs.render(source))]
     else:
         found = list(labels.read_labels(options.labels))
@@ -280,7 +282,7 @@ def _chips(options: _Options) -> int:
     if not pictures:
         raise ValueError(f'no image found for the labels in {options.labels}')
     costs = chip_costs.chip_costs(pictures, CropSettings(padding=options.padding))
-    print(f'chips of {what}; in brackets the difference to outer\n')
+    print(f'chips of {what}; difference from outer in brackets\n')
     print(tables.cost_table(costs))
     if options.picture:
         from obbhbb_ros.study import drawing
@@ -290,7 +292,7 @@ def _chips(options: _Options) -> int:
     return 0
 
 
-# The first line of what runs a command is its line of help.
+# The docstring of the function that runs a command is its help.
 COMMANDS: dict[str, tuple[Callable[[_Add], None], Callable[[_Options], int]]] = {
     'demo': (_demo_options, _demo),
     'convert': (_convert_options, _convert),
@@ -302,7 +304,7 @@ COMMANDS: dict[str, tuple[Callable[[_Add], None], Callable[[_Options], int]]] = 
 
 
 def _add_labels(add: _Add, count: str) -> None:
-    """Add the options that say which ships to read."""
+    """Add the options that select the ships to read."""
     add('labels', type=Path, nargs=count, metavar='LABELS', help='label files or folders')
     add('--format', help=f'{", ".join(FORMATS)}; default: detected')
     add('--reference', type=Path, metavar='FILE',
@@ -319,7 +321,7 @@ def _add_numbers(add: _Add, defaults: object, meanings: Mapping[str, str]) -> No
 
 
 def _read_ships(options: _Options) -> Ships:
-    """Read the ships; malformed records are reported, counted and left out."""
+    """Read the ships; report malformed records, count them and leave them out."""
     errors: list[labels.LabelError] = []
 
     def report(error: labels.LabelError) -> None:

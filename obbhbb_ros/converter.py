@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Oriented boxes and a rule in, axis-aligned boxes out, with flags and diagnostics."""
+"""Conversion of oriented boxes to axis-aligned boxes by a rule, with caps and diagnostics."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ F_RANGE = S_RANGE = (0.0, 2.0)
 @dataclass(frozen=True)
 class HullRule:
     """
-    A conversion rule with its shape parameters.
+    A conversion rule with its shape parameters; a value out of range raises ValueError.
 
     Attributes
     ----------
@@ -39,10 +39,12 @@ class HullRule:
     s : float
         Shrink factor in (0, 2]: scales the half-extents.
 
-    Raises
-    ------
-    ValueError
-        If one of them is out of range; the message names it.
+    Examples
+    --------
+    >>> HullRule('superellipse', q=0.5)
+    Traceback (most recent call last):
+        ...
+    ValueError: q must be in [1, inf], not 0.5
     """
 
     method: str = 'superellipse'
@@ -55,8 +57,7 @@ class HullRule:
         get_method(self.method)
         if not Q_RANGE[0] <= self.q <= Q_RANGE[1]:
             raise ValueError(f'q must be in [{Q_RANGE[0]:g}, {Q_RANGE[1]:g}], not {self.q}')
-        for name, (low, high) in (('f', F_RANGE), ('s', S_RANGE)):
-            value = getattr(self, name)
+        for name, value, (low, high) in (('f', self.f, F_RANGE), ('s', self.s, S_RANGE)):
             if not low < value <= high:
                 raise ValueError(f'{name} must be in ({low:g}, {high:g}], not {value}')
 
@@ -68,18 +69,13 @@ PAPER_RULE = HullRule('shape_aware', q=2.2, f=0.9, s=1.0)
 @dataclass(frozen=True)
 class Caps:
     """
-    The largest ship that is believed, `L_max` and `W_max` of Algorithm 1.
+    The largest plausible ship, `L_max` and `W_max` of Algorithm 1; ValueError if not positive.
 
     Attributes
     ----------
     max_length, max_width : float or None
         Upper bounds of the longer and the shorter extent of the axis-aligned box, pixels; None
-        where there is none.
-
-    Raises
-    ------
-    ValueError
-        If one of them is not positive; the message names it.
+        for no bound.
     """
 
     max_length: float | None = None
@@ -87,8 +83,7 @@ class Caps:
 
     def __post_init__(self) -> None:
         """Check both bounds."""
-        for name in ('max_length', 'max_width'):
-            value = getattr(self, name)
+        for name, value in vars(self).items():
             if value is not None and not value > 0.0:
                 raise ValueError(f'{name} must be positive or None, not {value}')
 
@@ -118,7 +113,7 @@ class Conversion:
         Angle of its long axis from image +x, radians in [-pi/2, pi/2).
     t_x, t_y : ndarray, shape (N,)
         Where along the hull the box touches it, 0 amidships to 1 at the bow; NaN for rules that
-        touch no curve.
+        do not touch a curve.
     capped : ndarray of bool, shape (N,)
         Whether a bound changed the box.
     """
@@ -143,7 +138,7 @@ def convert(
     max_width: float | None = None,
 ) -> FloatArray:
     """
-    Convert oriented boxes to axis-aligned ones.
+    Convert oriented boxes to axis-aligned boxes.
 
     Parameters
     ----------
@@ -155,13 +150,13 @@ def convert(
         Shape exponent in [1, inf], fullness and shrink factor in (0, 2]; used by the tunable
         methods only.
     max_length, max_width : float, optional
-        Bounds of the longer and the shorter extent of the result, pixels.
+        Upper bounds of the longer and the shorter extent of the result, pixels.
 
     Returns
     -------
     ndarray of float64, shape (N, 4)
-        x_min, y_min, x_max, y_max, pixels; a row is NaN where ``boxes.valid`` is False, or where
-        the result overflows.
+        x_min, y_min, x_max, y_max, pixels; a row is NaN if ``boxes.valid`` is False or the result
+        overflows.
 
     Raises
     ------
@@ -182,26 +177,21 @@ def convert(
 
 def convert_by_rule(boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS) -> FloatArray:
     """
-    Convert oriented boxes under a rule that is already checked.
+    Convert oriented boxes like `convert`, by a rule that is already checked.
 
-    Parameters
-    ----------
-    boxes : OrientedBoxes
-        N boxes.
-    rule : HullRule
-        The rule.
-    caps : Caps
-        Bounds of the result.
-
-    Returns
-    -------
-    ndarray of float64, shape (N, 4)
-        As `convert`.
+    Examples
+    --------
+    >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]])
+    >>> convert_by_rule(boxes, HullRule('outer'), Caps(max_length=50.0))
+    array([[25., 30., 75., 50.]])
     """
     if boxes.regular:
         return _all_xyxy(boxes, rule, caps)
     with np.errstate(invalid='ignore', over='ignore'):
-        return _without_overflown(_all_xyxy(boxes, rule, caps))
+        xyxy = _all_xyxy(boxes, rule, caps)
+        if not math.isfinite(np.add.reduce(xyxy, axis=None)):
+            xyxy[~np.isfinite(xyxy).all(axis=1)] = np.nan
+        return xyxy
 
 
 def half_extents(
@@ -211,29 +201,32 @@ def half_extents(
     caps: Caps = NO_CAPS,
 ) -> FloatArray:
     """
-    Compute half-extents along x and y, each box under the rule of its class.
+    Compute half-extents along x and y, (2, N), with one rule per class.
+
+    Columns are NaN where the box cannot be converted.
 
     Parameters
     ----------
     boxes : OrientedBoxes
         N boxes.
-    rules : sequence of HullRule
-        The rules in use.
-    rule_of : ndarray of int, shape (N,), optional
-        For each box, the index of its rule; without it the first rule is for all.
+    rules, rule_of : sequence of HullRule, ndarray of int of shape (N,), optional
+        The rules, and for each box the index of its rule, by default 0.
     caps : Caps
         Bounds of the result, the same for all.
 
-    Returns
-    -------
-    ndarray of float64, shape (2, N)
-        Half-extents, pixels; NaN columns where the box cannot be converted.
+    Examples
+    --------
+    >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]] * 2)
+    >>> rules = HullRule('outer'), HullRule('superellipse', s=0.5)
+    >>> half_extents(boxes, rules, np.array([0, 1])).T
+    array([[30., 10.],
+           [15.,  5.]])
     """
     if boxes.regular:
         return _all_extents(boxes, rules, rule_of, caps)
     with np.errstate(invalid='ignore', over='ignore'):
         extents = _all_extents(boxes, rules, rule_of, caps)
-        # The whole size, which messages state, is the first to overflow.
+        # The full size, which messages contain, is the first to overflow.
         farthest = np.abs(boxes.center) + 2.0 * extents
         if not math.isfinite(np.add.reduce(farthest, axis=None)):
             extents[:, ~np.isfinite(farthest).all(axis=0)] = np.nan
@@ -244,29 +237,22 @@ def convert_with_diagnostics(
     boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS
 ) -> Conversion:
     """
-    Convert oriented boxes and tell how, the optional output of Algorithm 1.
+    Convert oriented boxes, with the optional output of Algorithm 1: L, W, theta, t_x, t_y, capped.
 
-    Parameters
-    ----------
-    boxes : OrientedBoxes
-        N boxes.
-    rule : HullRule
-        The rule.
-    caps : Caps
-        Bounds of the result.
-
-    Returns
-    -------
-    Conversion
-        The boxes, and L, W, theta, t_x, t_y and the cap flag of each.
+    Examples
+    --------
+    >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]])
+    >>> found = convert_with_diagnostics(boxes, HullRule(), Caps(max_length=50.0))
+    >>> found.length, found.t_x, found.capped
+    (array([60.]), array([1.]), array([ True]))
     """
     xyxy = convert_by_rule(boxes, rule, caps)
     uncapped = convert_by_rule(boxes, rule)
     valid = ~np.isnan(xyxy[:, 0])
-    f = rule.f if METHODS[rule.method].tunable else 1.0
-    along, across = np.abs(boxes.long_axis), np.abs(boxes.short_axis) * f
+    method = METHODS[rule.method]
+    along, across = np.abs(boxes.long_axis), np.abs(boxes.short_axis)
     with np.errstate(invalid='ignore', over='ignore'):
-        t_x, t_y = METHODS[rule.method].contact(along, across, rule.q)
+        t_x, t_y = method.contact(along, across * (rule.f if method.tunable else 1.0), rule.q)
     return Conversion(
         xyxy=xyxy,
         valid=valid,
@@ -279,35 +265,28 @@ def convert_with_diagnostics(
     )
 
 
-def to_xyxy(center: FloatArray, extents: FloatArray) -> FloatArray:
+def to_xyxy(center: FloatArray, extents: FloatArray, out: FloatArray | None = None) -> FloatArray:
     """
-    Lay half-extents around centres.
+    Combine centres and half-extents, (2, N) each, to boxes: x_min, y_min, x_max, y_max, (N, 4).
 
-    Parameters
-    ----------
-    center : ndarray, shape (2, N)
-        Centres, pixels.
-    extents : ndarray, shape (2, N)
-        Half-extents as `half_extents` gives them, pixels.
+    The result is written to `out` if given; if not, each coordinate is contiguous in memory.
 
-    Returns
-    -------
-    ndarray of float64, shape (N, 4)
-        x_min, y_min, x_max, y_max; NaN rows where the extents are NaN. In memory, each coordinate
-        of all boxes comes after another.
+    Examples
+    --------
+    >>> to_xyxy(np.array([[50.0], [40.0]]), np.array([[30.0], [10.0]]))
+    array([[20., 30., 80., 50.]])
     """
-    corners = np.empty((4, center.shape[1]))
-    np.subtract(center, extents, out=corners[:2])
-    np.add(center, extents, out=corners[2:])
-    return corners.T
+    xyxy = np.empty((4, center.shape[1])).T if out is None else out
+    np.subtract(center, extents, out=xyxy[:, :2].T)
+    np.add(center, extents, out=xyxy[:, 2:].T)
+    return xyxy
 
 
 def _all_xyxy(boxes: OrientedBoxes, rule: HullRule, caps: Caps) -> FloatArray:
-    """Convert all boxes, (N, 4)."""
+    """Convert all boxes block by block, (N, 4)."""
     xyxy = np.empty((len(boxes), 4))
     for rows in blocks(len(boxes)):
-        extents = _block_extents(boxes, rule, caps, rows)
-        _lay_around(boxes.center[:, rows], extents, xyxy[rows])
+        to_xyxy(boxes.center[:, rows], _extents(boxes, rule, caps, rows), out=xyxy[rows])
     return xyxy
 
 
@@ -317,64 +296,40 @@ def _all_extents(
     rule_of: NDArray[np.intp] | None,
     caps: Caps,
 ) -> FloatArray:
-    """Compute the half-extents of all boxes, (2, N)."""
+    """Compute the half-extents of all boxes, block by block or rule by rule, (2, N)."""
     if rule_of is None and len(boxes) <= BLOCK:
-        return _block_extents(boxes, rules[0], caps, slice(None))
+        return _extents(boxes, rules[0], caps, slice(None))
     extents = np.empty((2, len(boxes)))
     if rule_of is None:
         for rows in blocks(len(boxes)):
-            extents[:, rows] = _block_extents(boxes, rules[0], caps, rows)
-        return extents
-    for index in np.unique(rule_of).tolist():
-        mine = np.flatnonzero(rule_of == index)
-        extents[:, mine] = _block_extents(boxes.take(mine), rules[index], caps, slice(None))
+            extents[:, rows] = _extents(boxes, rules[0], caps, rows)
+    else:
+        for index in np.unique(rule_of).tolist():
+            mine = np.flatnonzero(rule_of == index)
+            extents[:, mine] = _extents(boxes, rules[index], caps, mine)
     return extents
 
 
-def _block_extents(
-    boxes: OrientedBoxes, rule: HullRule, caps: Caps, rows: slice
+def _extents(
+    boxes: OrientedBoxes, rule: HullRule, caps: Caps, rows: slice | NDArray[np.intp]
 ) -> FloatArray:
     """Compute the half-extents of some rows, (2, n)."""
     method = METHODS[rule.method]
-    along, across = _reaches(boxes, rule, rows)
+    f = rule.f if method.tunable else 1.0
+    along, across = np.abs(boxes.first[:, rows]), np.abs(boxes.second[:, rows])
+    if f != 1.0 or not method.symmetric:
+        along, across = longer_first(along, across)
+    if f != 1.0:
+        across = across * f
     extents = method.half_extents(along, across, rule.q)
     if method.tunable and rule.s != 1.0:
         extents *= rule.s
     return _capped(extents, caps) if caps.given else extents
 
 
-def _reaches(
-    boxes: OrientedBoxes, rule: HullRule, rows: slice
-) -> tuple[FloatArray, FloatArray]:
-    """Project the hull's half axes, the half-width scaled by the fullness."""
-    method = METHODS[rule.method]
-    f = rule.f if method.tunable else 1.0
-    along, across = np.abs(boxes.first[:, rows]), np.abs(boxes.second[:, rows])
-    if method.symmetric and f == 1.0:
-        return along, across
-    along, across = longer_first(along, across)
-    return along, (across if f == 1.0 else across * f)
-
-
 def _capped(extents: FloatArray, caps: Caps) -> FloatArray:
-    """Bound the longer half-extent by half the length, the other by half the width."""
-    longer = np.inf if caps.max_length is None else caps.max_length / 2.0
-    shorter = np.inf if caps.max_width is None else caps.max_width / 2.0
-    lies_on_x = extents[0] >= extents[1]
-    limits = np.stack(
-        (np.where(lies_on_x, longer, shorter), np.where(lies_on_x, shorter, longer))
-    )
-    return np.minimum(extents, limits)
-
-
-def _lay_around(center: FloatArray, extents: FloatArray, xyxy: FloatArray) -> None:
-    """Write the boxes of half-extents around centres to `xyxy`, (n, 4)."""
-    np.subtract(center, extents, out=xyxy[:, :2].T)
-    np.add(center, extents, out=xyxy[:, 2:].T)
-
-
-def _without_overflown(xyxy: FloatArray) -> FloatArray:
-    """Make the rows that are not finite NaN."""
-    if not math.isfinite(np.add.reduce(xyxy, axis=None)):
-        xyxy[~np.isfinite(xyxy).all(axis=1)] = np.nan
-    return xyxy
+    """Limit the longer extent to the maximum length, the shorter to the maximum width."""
+    length, width = caps.max_length or np.inf, caps.max_width or np.inf
+    x_is_longer = extents[0] >= extents[1]
+    limits = np.where(x_is_longer, [[length], [width]], [[width], [length]])
+    return np.minimum(extents, limits / 2.0)

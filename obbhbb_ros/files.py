@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files are written whole or not at all."""
+"""Atomic file writing: a file is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -19,32 +19,25 @@ from pathlib import Path
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """
-    Give a file to write in a `with` block; it takes the place of another when the block ends well.
+    Provide a temporary file in a `with` block that replaces `path` if the block succeeds.
 
-    Folders above are made. Whatever fails, also a disk that fills up, leaves an older file as it
-    was and nothing beside it.
+    Missing parent folders are created. After any failure, including a full disk, an existing file
+    is unchanged, no temporary file remains, and the OSError names `path`. The temporary file is in
+    the same folder and has the same suffix; a device or pipe is written directly.
 
-    Parameters
-    ----------
-    path : Path
-        The file that is wanted. A device or a pipe is written to as it is.
-
-    Yields
-    ------
-    Path
-        A file beside it that does not exist yet, with the same suffix.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written; it names `path`.
+    Examples
+    --------
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with replacing(Path(folder) / 'a' / 'labels.txt') as partial:
+    ...         _ = partial.write_text('ship')
+    ...     (Path(folder) / 'a' / 'labels.txt').read_text()
+    'ship'
     """
     path = Path(os.path.realpath(path))
     if path.exists() and not path.is_file():
         yield path
         return
-    _check_writable(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    _prepare(path)
     partial = path.with_name(f'.{secrets.token_hex(4)}{path.suffix}')
     try:
         yield partial
@@ -58,60 +51,46 @@ def replacing(path: Path) -> Iterator[Path]:
 @contextmanager
 def replacing_all(path: Path, stale: Collection[str] = ()) -> Iterator[Path]:
     """
-    Give a file to write, as `replacing` does, for formats that put more files beside it.
+    Provide a temporary file as `replacing` does, for formats that write several files.
 
-    Parameters
-    ----------
-    path : Path
-        The file that is wanted; the others have its name with suffixes of their own.
-    stale : collection of str
-        Suffixes of files beside an older file that do not fit a new one, and go with it.
-
-    Yields
-    ------
-    Path
-        A file of that name in a folder of its own.
-
-    Raises
-    ------
-    OSError
-        If one of them cannot be written.
+    The others have the name of `path` with other suffixes. Existing files of that name with a
+    suffix in `stale` do not fit the new file and are deleted.
     """
     path = Path(os.path.realpath(path))
-    _check_writable(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    _prepare(path)
     with tempfile.TemporaryDirectory(prefix='.', dir=path.parent) as folder:
-        wanted = Path(folder) / path.name
-        yield wanted
+        main = Path(folder) / path.name
+        yield main
         made = set(Path(folder).iterdir())
-        # An index of the file that was there before would be believed.
+        # Readers would trust the index of the previous file.
         for old in path.parent.glob(f'{glob.escape(path.stem)}.*'):
             if old.suffix.lower() in stale and Path(folder) / old.name not in made:
                 old.unlink()
-        # The one that readers open comes last.
-        for each in sorted(made, key=lambda each: each == wanted):
+        # Readers open the main file, so it comes last.
+        for each in sorted(made, key=lambda each: each == main):
             _put_in_place(each, path.with_name(each.name))
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text as UTF-8, whole or not at all, see `replacing`."""
+    """Write a text as UTF-8 with `replacing`."""
     write_pieces(path, (text,))
 
 
 def write_pieces(path: Path, pieces: Iterable[str]) -> None:
-    """Write a text piece by piece, as `write_text` does; a long one is never in memory at once."""
+    """Write a text as UTF-8 with `replacing`, piece by piece to save memory."""
     with replacing(path) as partial, partial.open('w', encoding='utf-8', newline='') as stream:
         stream.writelines(pieces)
 
 
-def _check_writable(path: Path) -> None:
-    """Refuse to replace a file that may not be written to."""
+def _prepare(path: Path) -> None:
+    """Create the parent folders, and refuse to replace a file without write permission."""
     if path.exists() and not os.access(path, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
 
 
 def _put_in_place(made: Path, path: Path) -> None:
-    """Replace a file by one that is safe on the disk."""
+    """Flush a file to disk and move it to `path`, with the mode of the file it replaces."""
     with made.open('rb') as stream:
         os.fsync(stream.fileno())
     if path.exists():

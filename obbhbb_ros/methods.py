@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The conversion rules: how far a hull reaches along the image axes.
+The conversion rules: half-extents of a hull along the image axes.
 
-One pure function a rule, and their registry. Every rule works on the same two numbers per
-image axis, the reach of the hull's own half axes along it::
+Each rule is a pure function of two numbers per image axis, the projections of half the hull's
+length and of half its width on that axis::
 
                  image x        image y
     along     a * |cos θ|     a * |sin θ|      a = L / 2, half the length
     across    b * |sin θ|     b * |cos θ|      b = f * W / 2, half the width times fullness
 
-with θ the angle of the long axis from image +x. No angle is needed to have them: they are the
-absolute components of half the long and half the short edge of the oriented box. A rule returns
-the half-extents of the axis-aligned box, in pixels; all are homogeneous of degree one, so a
-shrink factor or a ground sample distance passes straight through.
+with θ the angle of the long axis from image +x. They are the absolute components of half the long
+and half the short edge of the oriented box, so no angle is computed. The functions take them as
+arrays of shape (2, N), pixels, not negative, with the shape exponent q in [1, inf], and return the
+half-extents of the axis-aligned box, shape (2, N), pixels. All are homogeneous of degree one: a
+shrink factor or a ground sample distance can be applied before or after.
 
 Equation, table and algorithm numbers are those of the paper, "Shape-Aware Oriented Bounding Box
 (OBB) to Horizontal Bounding Box (HBB) Conversion".
@@ -31,10 +32,11 @@ from numpy.typing import NDArray
 FloatArray: TypeAlias = NDArray[np.float64]
 Rule: TypeAlias = Callable[[FloatArray, FloatArray, float], FloatArray]
 
-# Keeps 0 / 0 from happening where a hull has no extent at all.
+# Prevents 0 / 0 if a hull has no extent at all.
 _TINY = float(np.finfo(np.float64).tiny)
-# From here on the rule is that of the rectangle to the last digit, and products might overflow.
-_AS_GOOD_AS_INFINITE = 1e100
+# From here on the rule equals that of the rectangle in double precision, and products might
+# overflow.
+_EFFECTIVELY_INFINITE = 1e100
 
 
 def superellipse(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
@@ -47,7 +49,7 @@ def superellipse(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
     Parameters
     ----------
     along, across : ndarray, shape (2, N)
-        Reach of the half-length and of the half-width along x and y, pixels, not negative.
+        Projections of the half-length and of the half-width on x and y, pixels, not negative.
     q : float
         Shape exponent in [1, inf]: 1 is a rhombus, 2 an ellipse, infinity the rectangle.
 
@@ -55,6 +57,14 @@ def superellipse(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
     -------
     ndarray, shape (2, N)
         Half-extents along x and y, pixels.
+
+    Examples
+    --------
+    >>> along, across = np.array([[4.0], [0.0]]), np.array([[3.0], [10.0]])
+    >>> superellipse(along, across, q=2.0).T
+    array([[ 5., 10.]])
+    >>> superellipse(along, across, q=np.inf).T
+    array([[ 7., 10.]])
     """
     if q == 1.0:
         return np.maximum(along, across)
@@ -63,7 +73,7 @@ def superellipse(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
     p = q / (q - 1.0) if q < np.inf else 1.0
     if p == 1.0:
         return along + across
-    # The larger term is factored out, so that no power overflows whatever p is.
+    # The larger term is factored out, so that no power overflows for any p.
     larger = np.maximum(along, across)
     ratio = np.minimum(along, across)
     ratio /= larger + _TINY
@@ -76,28 +86,21 @@ def superellipse(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
 
 def shape_aware(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
     """
-    Convert by the published rule (Algorithm 1), in closed form.
+    Apply the published rule (Algorithm 1) in closed form; parameters as for `superellipse`.
 
-    Its curve ``y = b (1 - |x/a|^q)`` lies inside the superellipse, so it undershoots by up to
-    15 % per half-extent; where ``along >= q * across`` it ignores the width altogether.
+    Its curve ``y = b (1 - |x/a|^q)`` lies inside the superellipse, so its half-extents are up to
+    15 % smaller; where ``along >= q * across`` the width has no effect.
 
-    Parameters
-    ----------
-    along, across : ndarray, shape (2, N)
-        Reach of the half-length and of the half-width along x and y, pixels, not negative.
-    q : float
-        Shape exponent in [1, inf].
-
-    Returns
-    -------
-    ndarray, shape (2, N)
-        Half-extents along x and y, pixels.
+    Examples
+    --------
+    >>> shape_aware(np.array([[4.0], [30.0]]), np.array([[4.0], [10.0]]), q=2.0).T
+    array([[ 5., 30.]])
     """
     if q == 1.0:
         return np.maximum(along, across)
-    if not q < _AS_GOOD_AS_INFINITE:
+    if not q < _EFFECTIVELY_INFINITE:
         return along + across
-    # At the optimum q*b*t^(q-1) = a, hence b*t^q = a*t/q. A bow that touches (t = 1) is b*0.
+    # At the optimum q*b*t^(q-1) = a, hence b*t^q = a*t/q. At t = 1 the bow touches, where y = 0.
     limit = q * across
     t = np.minimum(along, limit)
     t /= np.maximum(limit, _TINY)
@@ -120,7 +123,7 @@ def midpoint(along: FloatArray, across: FloatArray, q: float = 1.0) -> FloatArra
 
 def gaussian(along: FloatArray, across: FloatArray, q: float = 2.0) -> FloatArray:
     """Marginalise the box's Gaussian on each axis: the ellipse's extent; `q` is ignored."""
-    # A third of the time of np.hypot, which guards against squares that overflow.
+    # A third of the time of np.hypot, which also handles squares that overflow.
     return np.sqrt(along * along + across * across)
 
 
@@ -141,53 +144,27 @@ def gaussian_published(along: FloatArray, across: FloatArray, q: float = 2.0) ->
 def area_equivalent_published(
     along: FloatArray, across: FloatArray, q: float = np.inf
 ) -> FloatArray:
-    """Reproduce the paper's area baseline, which always lays L on x; `q` is ignored."""
+    """Reproduce the paper's area baseline, which always puts L on x; `q` is ignored."""
     return np.stack((np.hypot(along[0], along[1]), np.hypot(across[0], across[1])))
 
 
 def shape_aware_contact(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
-    """
-    Give t_x and t_y of Algorithm 1 (Eqs. 7 and 8), clipped to [0, 1].
-
-    Parameters
-    ----------
-    along, across : ndarray, shape (2, N)
-        Reach of the half-length and of the half-width along x and y, pixels, not negative.
-    q : float
-        Shape exponent in [1, inf].
-
-    Returns
-    -------
-    ndarray, shape (2, N)
-        Where along the hull the box touches it: 0 amidships, 1 at bow or stern.
-    """
+    """Compute t_x and t_y of Algorithm 1 (Eqs. 7 and 8), 0 amidships to 1 at bow or stern."""
     if q == 1.0:
         return np.where(along >= across, 1.0, 0.0)
-    if not q < _AS_GOOD_AS_INFINITE:
+    if not q < _EFFECTIVELY_INFINITE:
         return np.where(along > 0.0, 1.0, 0.0)
-    clipped = np.minimum(along, q * across)
-    ratio = clipped / np.maximum(q * across, _TINY)
-    return np.where(along >= q * across, 1.0, ratio ** (1.0 / (q - 1.0)))
+    limit = q * across
+    ratio = np.minimum(along, limit) / np.maximum(limit, _TINY)
+    return np.where(along >= limit, 1.0, ratio ** (1.0 / (q - 1.0)))
 
 
 def superellipse_contact(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
     """
-    Give the position along the hull where the box touches the superellipse.
+    Compute where along the hull the box touches the superellipse, 0 amidships to 1 at the bow.
 
-    It is the derivative of the half-extent by `along`, hence 0 amidships and 1 at the bow, like
-    the t_x and t_y of Algorithm 1.
-
-    Parameters
-    ----------
-    along, across : ndarray, shape (2, N)
-        Reach of the half-length and of the half-width along x and y, pixels, not negative.
-    q : float
-        Shape exponent in [1, inf].
-
-    Returns
-    -------
-    ndarray, shape (2, N)
-        Contact position in [0, 1].
+    This is the derivative of the half-extent with respect to `along`, comparable to the t_x and
+    t_y of Algorithm 1.
     """
     if q == 1.0 or not np.isfinite(q):
         return shape_aware_contact(along, across, q)
@@ -196,19 +173,19 @@ def superellipse_contact(along: FloatArray, across: FloatArray, q: float) -> Flo
 
 
 def _contact_at(q: float) -> Rule:
-    """Fix the exponent of the superellipse contact for a rule that has none of its own."""
+    """Return the superellipse contact with a fixed exponent."""
     return lambda along, across, _: superellipse_contact(along, across, q)
 
 
 def _no_contact(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
-    """Say that a rule touches no curve of the hull."""
+    """Return NaN, for rules that do not touch a curve."""
     return np.full_like(along, np.nan)
 
 
 @dataclass(frozen=True)
 class Method:
     """
-    One conversion rule with what a caller has to know of it.
+    A conversion rule and its properties.
 
     Attributes
     ----------
@@ -217,25 +194,24 @@ class Method:
     half_extents : callable
         ``(along, across, q) -> half_extents``, all (2, N).
     contact : callable
-        ``(along, across, q) -> t``, all (2, N); NaN where the rule has no such thing.
-    tunable : bool
-        Whether `q`, `f` and `s` apply; the others are used with f = s = 1.
-    symmetric : bool
-        Whether `along` and `across` may change places, so that nobody needs to know which side
-        is the longer one.
-    onboard : bool
-        Whether the node offers it; the others only reproduce the paper's tables.
+        ``(along, across, q) -> t``, all (2, N); NaN if the rule does not touch a curve.
     summary : str
         One line for tables and help texts.
+    tunable : bool
+        Whether `q`, `f` and `s` apply; if not, f = s = 1.
+    symmetric : bool
+        Whether `along` and `across` can be swapped, so that the sides need no sorting.
+    onboard : bool
+        Whether the node offers the rule; the others only reproduce the paper's tables.
     """
 
     name: str
     half_extents: Rule
     contact: Rule
-    tunable: bool
-    symmetric: bool
-    onboard: bool
     summary: str
+    tunable: bool = False
+    symmetric: bool = True
+    onboard: bool = True
 
 
 METHODS: MappingProxyType[str, Method] = MappingProxyType({
@@ -243,43 +219,27 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType({
     for method in (
         Method(
             'superellipse', superellipse, superellipse_contact,
-            tunable=True, symmetric=True, onboard=True,
-            summary='exact projection of the superellipse hull',
+            'exact projection of the superellipse hull', tunable=True,
         ),
         Method(
             'shape_aware', shape_aware, shape_aware_contact,
-            tunable=True, symmetric=False, onboard=True,
-            summary='the published rule, Algorithm 1',
+            'the published rule, Algorithm 1', tunable=True, symmetric=False,
         ),
-        Method(
-            'outer', outer, _contact_at(np.inf),
-            tunable=False, symmetric=True, onboard=True,
-            summary='minimum and maximum of the corners',
-        ),
-        Method(
-            'midpoint', midpoint, _contact_at(1.0),
-            tunable=False, symmetric=True, onboard=True,
-            summary='minimum and maximum of the edge midpoints',
-        ),
-        Method(
-            'gaussian', gaussian, _contact_at(2.0),
-            tunable=False, symmetric=True, onboard=True,
-            summary='Gaussian of the box, marginalised',
-        ),
+        Method('outer', outer, _contact_at(np.inf), 'minimum and maximum of the corners'),
+        Method('midpoint', midpoint, _contact_at(1.0), 'minimum and maximum of the edge midpoints'),
+        Method('gaussian', gaussian, _contact_at(2.0), 'Gaussian of the box, marginalised'),
         Method(
             'area_equivalent', area_equivalent, _no_contact,
-            tunable=False, symmetric=True, onboard=True,
-            summary='outer box scaled to the area of the oriented box',
+            'outer box scaled to the area of the oriented box',
         ),
         Method(
             'gaussian_published', gaussian_published, _no_contact,
-            tunable=False, symmetric=True, onboard=False,
-            summary='Gaussian baseline as the paper runs it, x and y swapped',
+            'Gaussian baseline as the paper runs it, x and y swapped', onboard=False,
         ),
         Method(
             'area_equivalent_published', area_equivalent_published, _no_contact,
-            tunable=False, symmetric=False, onboard=False,
-            summary='area baseline as the paper runs it, length always on x',
+            'area baseline as the paper runs it, length always on x',
+            symmetric=False, onboard=False,
         ),
     )
 })
@@ -289,22 +249,12 @@ ONBOARD_METHODS: tuple[str, ...] = tuple(m.name for m in METHODS.values() if m.o
 
 def get_method(name: str) -> Method:
     """
-    Look a rule up by its name.
+    Look up a rule in `METHODS`; ValueError with the known names if there is none.
 
-    Parameters
-    ----------
-    name : str
-        One of the keys of `METHODS`.
-
-    Returns
-    -------
-    Method
-        The rule.
-
-    Raises
-    ------
-    ValueError
-        If there is no such rule; the message lists those there are.
+    Examples
+    --------
+    >>> get_method('outer').summary
+    'minimum and maximum of the corners'
     """
     try:
         return METHODS[name]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A link's budget: which chips of a frame may go, the most valuable first.
+The budget of a link: which chips of a frame are sent, the most valuable first.
 
-Time is given by the caller, seconds of a clock that never goes back.
+All times come from the caller, in seconds of a monotonic clock.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from obbhbb_ros.downlink import require_not_negative
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import PixelFormat
 from obbhbb_ros.downlink.chips import Region
@@ -40,27 +41,22 @@ class Dropped(str, Enum):
 @dataclass(frozen=True)
 class BudgetSettings:
     """
-    What may be sent.
+    Limits of the link and of each frame; a negative or infinite value raises ValueError.
 
     Attributes
     ----------
     bytes_per_second : float
-        What the link carries; 0 for no bound.
+        Data rate of the link (0: unlimited).
     burst : float
-        What may be sent at once after a pause, bytes; 0 for what the link carries in a second.
+        Maximum bytes sent at once after a pause (0: what the link carries in a second).
     overhead : int
-        What each chip costs besides its file, bytes.
+        Bytes added to each chip by the protocol.
     max_chips : int
-        At most so many chips a frame; 0 for no bound.
+        Maximum chips per frame (0: unlimited).
     max_bytes : int
-        At most so many bytes a frame; 0 for no bound.
+        Maximum bytes per frame (0: unlimited).
     min_quality : int
-        A chip that does not fit is encoded again, down to this quality; 0 to drop it at once.
-
-    Raises
-    ------
-    ValueError
-        If a value is negative; the message names it.
+        A chip that does not fit is encoded again, down to this quality (0: dropped at once).
     """
 
     bytes_per_second: float = 0.0
@@ -72,72 +68,69 @@ class BudgetSettings:
 
     def __post_init__(self) -> None:
         """Check every value."""
-        for name, value in vars(self).items():
-            if not 0 <= value < float('inf'):
-                raise ValueError(f'{name} must be finite and not negative, not {value}')
+        require_not_negative(**vars(self))
+
+    @property
+    def bucket_size(self) -> float:
+        """Maximum bytes sent at once; infinite if the link is unlimited."""
+        if not self.bytes_per_second:
+            return float('inf')
+        return self.burst or self.bytes_per_second
 
 
 class TokenBucket:
     """
-    Never lets through more than `rate * window + burst` bytes in any window of time.
+    Rate limiter: at most `rate * window + burst` bytes in any time window.
 
     Parameters
     ----------
     settings : BudgetSettings
         Rate and burst.
     now : float
-        Seconds.
+        Current time, seconds.
+
+    Examples
+    --------
+    >>> bucket = TokenBucket(BudgetSettings(bytes_per_second=100.0, burst=250.0), now=0.0)
+    >>> bucket.spend(200, now=0.0)
+    >>> bucket.available(now=1.0)
+    150.0
     """
 
     def __init__(self, settings: BudgetSettings, now: float) -> None:
         self._rate = settings.bytes_per_second
-        self.burst = _burst(settings)
-        self._tokens = self.burst
+        self.burst = self._tokens = settings.bucket_size
         self._filled_at = now
 
     def change(self, settings: BudgetSettings, now: float) -> None:
-        """Go on with another rate and burst; what was not spent stays, as far as it fits."""
-        unbounded = not self._rate
+        """Change rate and burst; unspent bytes are kept up to the new burst."""
+        was_unlimited = not self._rate
         self._fill(now)
-        self._rate, self.burst = settings.bytes_per_second, _burst(settings)
-        # Nothing was counted while there was no bound, so nothing may have been left over.
-        self._tokens = 0.0 if unbounded else min(self._tokens, self.burst)
+        self._rate, self.burst = settings.bytes_per_second, settings.bucket_size
+        # Without a limit nothing was counted, so the link may be fully used.
+        self._tokens = 0.0 if was_unlimited else min(self._tokens, self.burst)
 
     def available(self, now: float) -> float:
-        """Tell how many bytes may be sent now."""
+        """Return how many bytes may be sent now."""
         self._fill(now)
         return self._tokens if self._rate else float('inf')
 
     def spend(self, count: int, now: float) -> None:
-        """
-        Account for bytes that are sent now.
-
-        Raises
-        ------
-        ValueError
-            If there are not so many.
-        """
+        """Subtract bytes that are sent now; ValueError if they exceed `available`."""
         if count > self.available(now):
-            raise ValueError(f'{count} bytes are more than the {self._tokens:.0f} left')
+            raise ValueError(f'{count} bytes exceed the {self._tokens:.0f} available')
         if self._rate:
             self._tokens -= count
 
     def _fill(self, now: float) -> None:
-        """Add what the link has carried since the last time."""
+        """Add what the link has carried since the last call."""
         self._tokens = min(self.burst, self._tokens + self._rate * (now - self._filled_at))
         self._filled_at = now
 
 
-def _burst(settings: BudgetSettings) -> float:
-    """Give the burst in bytes."""
-    if not settings.bytes_per_second:
-        return float('inf')
-    return settings.burst or settings.bytes_per_second
-
-
 @dataclass(frozen=True)
 class Chip:
-    """An encoded chip, and where it lies in the image."""
+    """An encoded chip and its region of the image."""
 
     region: Region
     data: bytes
@@ -155,41 +148,37 @@ def chips_within_budget(
     on_failure: Callable[[Region, Exception], None],
 ) -> Iterator[Chip]:
     """
-    Make the chips of one frame that may be sent; each must be sent before the next is asked for.
+    Encode the chips of a frame that fit the budget; send each before requesting the next.
 
-    The first that the link cannot carry yet ends the frame: what is less valuable does not get
-    through in its place, so that the next frame's most valuable finds the link free. Only a chip
-    that no pause would make room for is passed over.
+    The first chip that the link cannot carry yet ends the frame: less valuable chips are not sent
+    in its place, so that the link is free for the most valuable chip of the next frame. Only a
+    chip that could never be sent, larger than the burst or than a frame may be, is skipped.
 
     Parameters
     ----------
-    view : ndarray, shape (height, width, channels)
+    view, layout : ndarray of shape (height, width, channels), PixelFormat
         The image.
-    layout : PixelFormat
-        Of its pixels.
     regions : sequence of tuple of int
         The crop plan, most valuable first.
-    codec, budget : CodecSettings, BudgetSettings
-        How chips are encoded, and what may be sent.
-    bucket : TokenBucket
-        The link's, shared by all frames.
+    codec, budget, bucket : CodecSettings, BudgetSettings, TokenBucket
+        Encoding, limits, and the rate limiter of the link, shared by all frames.
     clock : callable
-        Gives the time in seconds.
+        Returns the time in seconds.
     dropped : Counter
-        Is added to, by `Dropped`: every region is either given or counted.
+        Counts by `Dropped` every region that is not sent.
     on_failure : callable
-        Called with region and error where the encoder fails.
+        Called with region and error if the encoder fails.
 
     Yields
     ------
     Chip
-        Paid for.
+        Already subtracted from the budget.
     """
     bytes_left = budget.max_bytes or float('inf')
     sent = 0
     image_size = view.shape[1], view.shape[0]
-    for index, wanted in enumerate(regions):
-        region = placed(wanted, image_size, layout)
+    for index, planned in enumerate(regions):
+        region = placed(planned, image_size, layout)
         if region is None:
             dropped[Dropped.OUTSIDE.value] += 1
             continue
@@ -199,9 +188,9 @@ def chips_within_budget(
         pixels = cut(view, region, layout)
         room = min(bytes_left, bucket.available(clock())) - budget.overhead
         try:
-            data = _encode_into(pixels, room, codec, budget.min_quality)
+            data = _encode_to_fit(pixels, room, codec, budget.min_quality)
         except (ValueError, OSError, MemoryError) as error:
-            # Each format has sizes that it cannot hold.
+            # Each format has a maximum size.
             dropped[Dropped.ENCODER.value] += 1
             on_failure(region, error)
             continue
@@ -223,15 +212,15 @@ def chips_within_budget(
             yield Chip(region, data)
 
 
-def _encode_into(
+def _encode_to_fit(
     pixels: NDArray[Any], room: float, codec: CodecSettings, min_quality: int
 ) -> bytes:
-    """Encode; where that is too large and quality may fall, at the middle or lowest quality."""
+    """Encode; if the result is too large, try the lowest quality and the one halfway to it."""
     data = encode(pixels, codec)
     if len(data) <= room or codec.exact or not 0 < min_quality < codec.quality:
         return data
     lowest = encode(pixels, replace(codec, quality=min_quality))
     if len(lowest) > room:
         return lowest
-    between = encode(pixels, replace(codec, quality=(min_quality + codec.quality) // 2))
-    return between if len(between) <= room else lowest
+    halfway = encode(pixels, replace(codec, quality=(min_quality + codec.quality) // 2))
+    return halfway if len(halfway) <= room else lowest

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Image and crop plan in, encoded chips out.
+Encoded chips from an image and a crop plan.
 
-The frame is only looked at, never copied: a chip's own pixels are the first that move. Encoding
-takes Pillow, the extra `chips`.
+The image is never copied as a whole, only the pixels of each chip. Encoding requires Pillow, the
+extra `chips`.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ Region = tuple[int, int, int, int]
 
 
 class ChipError(ValueError):
-    """An image that no chips can be made of as asked; the text says why."""
+    """An image from which no chips can be made; the message says why."""
 
 
 @dataclass(frozen=True)
 class PixelFormat:
     """
-    How an encoding lays out a pixel.
+    Pixel layout of an encoding.
 
     Attributes
     ----------
     channels : tuple of int
-        Where red, green, blue and alpha lie; just one for grey.
+        Indices of red, green, blue and alpha; a single one for grey.
     depth : int
-        Bits a channel.
+        Bits per channel.
     decoded : str
-        Encoding that OpenCV decodes a file of such pixels to, as `image_transport` has it in
+        Encoding to which OpenCV decodes a file of such pixels, as `image_transport` writes it in
         `CompressedImage.format`; empty for a single channel.
     bayer : bool
-        Whether neighbours are of different colours, so that a chip must start at even offsets.
+        Whether it is a Bayer mosaic, in which a chip must start at even offsets.
     """
 
     channels: tuple[int, ...]
@@ -62,12 +62,12 @@ PIXEL_FORMATS: dict[str, PixelFormat] = {
         for depth in (8, 16)
     },
 }
-"""What can be cut, by the name it has in `sensor_msgs/Image.encoding`."""
+"""Supported values of `sensor_msgs/Image.encoding`."""
 
 
 @dataclass(frozen=True)
 class Codec:
-    """What a file format can hold: bits a channel, channels, and if it can be exact or inexact."""
+    """What a file format supports: bits per channel, channels, lossless and lossy encoding."""
 
     name: str
     depths: tuple[int, ...]
@@ -90,21 +90,21 @@ CODECS: dict[str, Codec] = {
 @dataclass(frozen=True)
 class CodecSettings:
     """
-    How chips are encoded.
+    How chips are encoded; values out of range or in conflict raise ValueError.
 
     Attributes
     ----------
     codec : str
         One of `CODECS`.
     quality : int
-        1 to 100, for inexact encoding. For JPEG 2000 it is percent of the size of the bare pixels.
+        1 to 100, for lossy encoding. For JPEG 2000, percent of the size of the raw pixels.
     lossless : bool
-        Whether pixels must come out as they went in; PNG always does that.
+        Whether encoding must be lossless; PNG always is.
 
-    Raises
-    ------
-    ValueError
-        If a value is out of range, or the codec cannot be exact; the message names it.
+    Examples
+    --------
+    >>> CodecSettings('png').exact, CodecSettings('webp').exact
+    (True, False)
     """
 
     codec: str = 'jpeg'
@@ -122,30 +122,18 @@ class CodecSettings:
 
     @property
     def exact(self) -> bool:
-        """Whether pixels come out as they went in."""
+        """Whether decoded pixels equal the original ones."""
         return self.lossless or not CODECS[self.codec].lossy
 
 
 def pixel_format(encoding: str, codec: str) -> PixelFormat:
     """
-    Look up an encoding, and that a codec can hold it.
+    Look up the pixel format of an encoding; ChipError if the codec does not support it.
 
-    Parameters
-    ----------
-    encoding : str
-        As in `sensor_msgs/Image`.
-    codec : str
-        One of `CODECS`.
-
-    Returns
-    -------
-    PixelFormat
-        How its pixels are laid out.
-
-    Raises
-    ------
-    ChipError
-        If the encoding is unknown, or the codec cannot hold so many bits a channel.
+    Examples
+    --------
+    >>> pixel_format('bgr8', 'jpeg').channels
+    (2, 1, 0)
     """
     found = PIXEL_FORMATS.get(encoding)
     if found is None:
@@ -154,40 +142,28 @@ def pixel_format(encoding: str, codec: str) -> PixelFormat:
     if found.depth not in CODECS[codec].depths:
         able = ', '.join(c.name for c in CODECS.values() if found.depth in c.depths)
         raise ChipError(
-            f'{codec} cannot hold the {found.depth} bits a channel of {encoding}; use {able}'
+            f'{codec} does not support the {found.depth} bits per channel of {encoding}; use {able}'
         )
     return found
 
 
 def view_of(image: WireImage) -> NDArray[Any]:
     """
-    Look at the pixels of an image where they lie.
+    View the pixels of an image without copying them, shape (height, width, channels).
 
-    Parameters
-    ----------
-    image : WireImage
-        An image of one of `PIXEL_FORMATS`.
-
-    Returns
-    -------
-    ndarray of uint8 or uint16, shape (height, width, channels)
-        A view with the image's own order of bytes and channels; it keeps the message alive.
-
-    Raises
-    ------
-    ChipError
-        If the message does not hold the pixels that it tells of.
+    Bytes and channels keep the order of the image. Raises ChipError if its size, step and data
+    contradict each other.
     """
     layout = PIXEL_FORMATS[image.encoding]
     size = layout.depth // 8
     row = image.width * len(layout.channels) * size
     if not (image.width and image.height):
-        raise ChipError(f'an image of {image.width} x {image.height} pixels')
+        raise ChipError(f'the image is empty: {image.width} x {image.height} pixels')
     if image.step < row:
-        raise ChipError(f'step is {image.step}, a row of {image.width} pixels takes {row} bytes')
+        raise ChipError(f'step is {image.step}, but {image.width} pixels need {row} bytes')
     needed = image.step * (image.height - 1) + row
     if len(image.data) < needed:
-        raise ChipError(f'data has {len(image.data)} bytes, the image takes {needed}')
+        raise ChipError(f'data has {len(image.data)} bytes, but the image needs {needed}')
     return np.ndarray(
         (image.height, image.width, len(layout.channels)),
         f'{">" if image.is_bigendian else "<"}u{size}',
@@ -198,22 +174,15 @@ def view_of(image: WireImage) -> NDArray[Any]:
 
 def placed(region: Region, image_size: tuple[int, int], layout: PixelFormat) -> Region | None:
     """
-    Place a region in an image.
+    Clip a region to an image of `image_size`, width and height; None if nothing is left.
 
-    Parameters
-    ----------
-    region : tuple of int
-        x0, y0, x1, y1.
-    image_size : tuple of int
-        Width and height, pixels.
-    layout : PixelFormat
-        Of the image. Where it is a Bayer mosaic, the region grows to whole 2 x 2 cells, so that
-        the chip has the pattern of the image.
+    In a Bayer mosaic the region first grows to whole 2 x 2 cells, so that the chip has the pattern
+    of the image.
 
-    Returns
-    -------
-    tuple of int, or None
-        The part of the region that lies in the image; None if there is none.
+    Examples
+    --------
+    >>> placed((-5, 3, 20, 21), (640, 480), PIXEL_FORMATS['bayer_rggb8'])
+    (0, 2, 20, 22)
     """
     x0, y0, x1, y1 = region
     if layout.bayer:
@@ -224,22 +193,15 @@ def placed(region: Region, image_size: tuple[int, int], layout: PixelFormat) -> 
 
 def cut(view: NDArray[Any], region: Region, layout: PixelFormat) -> NDArray[Any]:
     """
-    Copy the pixels of a region, ready to be encoded.
+    Copy the pixels of a region inside the image, ready for encoding.
 
-    Parameters
-    ----------
-    view : ndarray, shape (height, width, channels)
-        The image, from `view_of`.
-    region : tuple of int
-        x0, y0, x1, y1 within the image.
-    layout : PixelFormat
-        Of the image.
+    They are contiguous, in native byte order, with the channels grey or red, green, blue, alpha.
 
-    Returns
-    -------
-    ndarray of uint8 or uint16, shape (y1 - y0, x1 - x0, channels)
-        Contiguous, in the machine's order of bytes; channels in the order grey or red, green,
-        blue, alpha.
+    Examples
+    --------
+    >>> bgr = np.array([[[3, 2, 1], [6, 5, 4]]], np.uint8)
+    >>> cut(bgr, (1, 0, 2, 1), PIXEL_FORMATS['bgr8']).tolist()
+    [[[4, 5, 6]]]
     """
     x0, y0, x1, y1 = region
     chip = view[y0:y1, x0:x1]
@@ -250,26 +212,10 @@ def cut(view: NDArray[Any], region: Region, layout: PixelFormat) -> NDArray[Any]
 
 def encode(pixels: NDArray[Any], settings: CodecSettings) -> bytes:
     """
-    Encode a chip.
+    Encode pixels from `cut` to a file of the codec.
 
-    Parameters
-    ----------
-    pixels : ndarray of uint8 or uint16, shape (H, W, C)
-        From `cut`. JPEG leaves out alpha; WebP holds grey as three equal channels.
-    settings : CodecSettings
-        How.
-
-    Returns
-    -------
-    bytes
-        A file of the codec.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If Pillow is not installed.
-    ValueError, OSError
-        If Pillow cannot encode such pixels.
+    JPEG drops alpha; WebP stores grey as three equal channels. Raises ModuleNotFoundError if
+    Pillow is not installed, ValueError or OSError if it cannot encode the pixels.
     """
     from PIL import Image
 
@@ -280,12 +226,12 @@ def encode(pixels: NDArray[Any], settings: CodecSettings) -> bytes:
     mode = 'I;16' if pixels.dtype.itemsize == 2 else {1: 'L', 3: 'RGB', 4: 'RGBA'}[channels]
     image = Image.frombytes(mode, (width, height), np.ascontiguousarray(pixels).tobytes())
     file = io.BytesIO()
-    image.save(file, settings.codec, **_options(settings))
+    image.save(file, settings.codec, **_pillow_options(settings))
     return file.getvalue()
 
 
-def _options(settings: CodecSettings) -> dict[str, Any]:
-    """Say to Pillow what the settings mean for their codec."""
+def _pillow_options(settings: CodecSettings) -> dict[str, Any]:
+    """Translate the settings to the options of Pillow."""
     if settings.codec == 'png':
         return {}
     if settings.codec == 'jpeg2000':
@@ -294,27 +240,22 @@ def _options(settings: CodecSettings) -> dict[str, Any]:
         rate = 100.0 / settings.quality
         return {'irreversible': True, 'quality_mode': 'rates', 'quality_layers': [rate]}
     if settings.codec == 'webp':
-        # Exact also where alpha is 0.
+        # `exact` also keeps the colours where alpha is 0.
         return {'quality': settings.quality, 'lossless': settings.lossless, 'exact': True}
     return {'quality': settings.quality}
 
 
 def format_text(encoding: str, codec: str) -> str:
     """
-    Say what a chip is, as `image_transport` does in `sensor_msgs/CompressedImage.format`.
+    Describe a chip as `image_transport` does in `sensor_msgs/CompressedImage.format`.
 
-    Parameters
-    ----------
-    encoding : str
-        Encoding of the image, one of `PIXEL_FORMATS`.
-    codec : str
-        One of `CODECS`.
+    It consists of the encoding of the image, the codec, and for colours the encoding to which
+    OpenCV decodes the file.
 
-    Returns
-    -------
-    str
-        Such as 'rgb8; jpeg compressed bgr8': encoding of the image, codec, and what OpenCV decodes
-        the file to where that has colours.
+    Examples
+    --------
+    >>> format_text('rgb8', 'jpeg')
+    'rgb8; jpeg compressed bgr8'
     """
     layout = PIXEL_FORMATS[encoding]
     decoded = layout.decoded

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Which regions of an image are better sent as one.
+Merging of regions: two become one if the region around both has fewer pixels than the two together.
 
-That is where the region around both has fewer pixels than the two together. Regions are merged
-in rounds. In each, every region looks for the partner with which it saves most;
-then, by falling saving, those join that have not joined another yet, and whatever lies within
-another region joins that. A later round looks again only where something changed. In a crowd the
-first rounds look only at the nearest in x, which thins it out at little cost. At the end no two
-regions are left that would save pixels by merging.
+Regions are merged in rounds. In each round every region finds the partner with which it saves the
+most pixels; then, in descending saving, pairs are merged whose regions are not yet part of another
+pair, and every region inside another one is merged into it. Later rounds search again only where
+something changed. In crowds the first rounds search only the nearest regions in x, which thins
+them out at little cost. At the end no two regions are left that would save pixels by merging.
 """
 
 from __future__ import annotations
@@ -22,38 +21,34 @@ from numpy.typing import NDArray
 IntArray: TypeAlias = NDArray[np.intp]
 Pixels: TypeAlias = NDArray[np.signedinteger]
 
-Fit: TypeAlias = Callable[[Pixels, Pixels], tuple[Pixels, Pixels]]
-"""Lower and upper corners, (2, N) each, of what regions must hold -> corners of the regions."""
-
 _BLOCK = 48
 _REACH = 64
-_NOBODY = -1
-# Of images up to so many pixels, areas and their sums are counted in half the memory.
+_NO_PARTNER = -1
+# In images of fewer pixels, areas and their sums fit 32 bits, which takes half the memory.
 _SMALL_IMAGE = 2**30
 
 
 @dataclass(frozen=True)
 class MergeRules:
     """
-    What a merged region may be.
+    Size limits of merged regions, pixels.
 
     Attributes
     ----------
     limit : float
-        Longest side that a region may get by merging, pixels. Within another region no limit
-        holds, as nothing grows.
+        Maximum side; does not apply inside another region, where nothing grows.
     step : int
-        Sides are rounded up to multiples of so many pixels.
+        Sides are rounded up to multiples of this.
     bounds : tuple of int
-        Width and height of the image, pixels, beyond which nothing is rounded up.
+        Width and height of the image, which rounding does not exceed.
     fit : callable
-        Makes the regions, of those sizes, around what was merged.
+        Turns lower and upper corners, (2, N) each, into those of regions of such sizes.
     """
 
     limit: float
     step: int
     bounds: tuple[int, int]
-    fit: Fit
+    fit: Callable[[Pixels, Pixels], tuple[Pixels, Pixels]]
 
 
 def merge_regions(
@@ -62,38 +57,34 @@ def merge_regions(
     """
     Merge regions where that saves pixels.
 
-    Parameters
-    ----------
-    corners : ndarray of int, shape (4, N)
-        x0, y0, x1, y1 of regions of sizes that `rules.fit` gives.
-    rules : MergeRules
-        What a merged region may be.
+    `corners` are x0, y0, x1, y1, (4, N), with sizes from `rules.fit`. Returns those of the M
+    remaining regions, (4, M), in no particular order, and for each of the N regions the index of
+    the merged region that contains it. The grouping does not depend on the order of the input.
 
-    Returns
-    -------
-    merged : ndarray of int64, shape (4, M)
-        The regions that are left, in no particular order.
-    group_of : ndarray of int, shape (N,)
-        For each of the N, which of the M holds it. As a grouping of equal regions, neither
-        depends on the order of the input.
+    Examples
+    --------
+    >>> rules = MergeRules(limit=100, step=1, bounds=(640, 480), fit=lambda low, high: (low, high))
+    >>> merged, group_of = merge_regions(np.array([[0, 2], [0, 0], [20, 24], [10, 10]]), rules)
+    >>> merged.T.tolist(), group_of.tolist()
+    ([[0, 0, 24, 10]], [0, 0])
     """
     order = _in_order(corners)
     group_of = np.empty(len(order), np.intp)
     group_of[order] = np.arange(len(order))
     counted = np.int32 if rules.bounds[0] * rules.bounds[1] < _SMALL_IMAGE else np.int64
-    live = _Live(corners[:, order].astype(counted))
-    reach, all_seen = _REACH, True
+    regions = _Round(corners[:, order].astype(counted))
+    reach, complete = _REACH, True
     while True:
-        all_seen &= _find_partners(live, rules, reach)
-        root = _couple(live)
+        complete &= _find_partners(regions, rules, reach)
+        root = _group(regions)
         if (root != np.arange(len(root))).any():
-            live, place = _unite(live, root, rules)
-            group_of = place[group_of]
-        elif all_seen:
-            return live.corners.astype(np.int64), group_of
+            regions, new_index = _merge(regions, root, rules)
+            group_of = new_index[group_of]
+        elif complete:
+            return regions.corners.astype(np.int64), group_of
         else:
-            reach, all_seen = len(root), True
-            live.stale[:] = True
+            reach, complete = len(root), True
+            regions.stale[:] = True
 
 
 def _in_order(corners: Pixels) -> IntArray:
@@ -104,61 +95,54 @@ def _in_order(corners: Pixels) -> IntArray:
     return np.lexsort(corners[::-1]) if (ranked[1:] == ranked[:-1]).any() else order
 
 
-class _Live:
-    """
-    The regions of a round, sorted by x0, y0, x1, y1.
-
-    Parameters
-    ----------
-    corners : ndarray, shape (4, N)
-        x0, y0, x1, y1.
-    """
+class _Round:
+    """The regions of a round, sorted by x0, y0, x1, y1, with the best partner known of each."""
 
     def __init__(self, corners: Pixels) -> None:
         self.corners = np.ascontiguousarray(corners)
         self.area = (corners[2] - corners[0]) * (corners[3] - corners[1])
-        self.partner = np.full(corners.shape[1], _NOBODY)
+        self.partner = np.full(corners.shape[1], _NO_PARTNER)
         self.saving = np.zeros_like(self.area)
         self.stale = np.ones(corners.shape[1], np.bool_)
 
 
-def _find_partners(live: _Live, rules: MergeRules, reach: int) -> bool:
+def _find_partners(regions: _Round, rules: MergeRules, reach: int) -> bool:
     """
-    Look for the best partner of each region that is stale, and of others among the stale.
+    Find the best partner of each stale region, and whether one is better for any other region.
 
-    None is sought more than about `reach` places away; tell whether that was far enough for all.
+    The search covers about `reach` places to each side. Return whether this covers all overlaps.
     """
-    stale = np.flatnonzero(live.stale)
-    all_seen = True
-    lefts = live.corners[0]
-    widest = (live.corners[2] - lefts).max(initial=0)
+    stale = np.flatnonzero(regions.stale)
+    complete = True
+    lefts = regions.corners[0]
+    widest = (regions.corners[2] - lefts).max(initial=0)
     for start in range(0, len(stale), _BLOCK):
         rows = stale[start : start + _BLOCK]
-        # Sorted by x0, so all that can overlap these rows lie in one stretch.
+        # Sorted by x0, so all regions that can overlap these rows are in one range.
         first = int(np.searchsorted(lefts, lefts[rows[0]] - widest))
-        behind = int(np.searchsorted(lefts, live.corners[2, rows].max()))
-        if first < rows[0] - reach or behind > rows[-1] + 1 + reach:
-            first, behind = max(first, rows[0] - reach), min(behind, rows[-1] + 1 + reach)
-            all_seen = False
-        saving = _savings(live, rows, slice(first, behind), rules)
+        end = int(np.searchsorted(lefts, regions.corners[2, rows].max()))
+        if first < rows[0] - reach or end > rows[-1] + 1 + reach:
+            first, end = max(first, rows[0] - reach), min(end, rows[-1] + 1 + reach)
+            complete = False
+        saving = _savings(regions, rows, slice(first, end), rules)
         saving[np.arange(len(rows)), rows - first] = 0
         best = saving.argmax(axis=1)
-        _note_best(live, rows, best + first, saving[np.arange(len(rows)), best])
-        # Those that are stale themselves have their own turn.
-        others = np.flatnonzero(~live.stale[first:behind])
+        _keep_better(regions, rows, best + first, saving[np.arange(len(rows)), best])
+        # Stale regions are searched as rows themselves.
+        others = np.flatnonzero(~regions.stale[first:end])
         if others.size:
             saving = np.ascontiguousarray(saving[:, others].T)
             best = saving.argmax(axis=1)
-            _note_best(live, others + first, rows[best], saving[np.arange(len(others)), best])
-    return all_seen
+            _keep_better(regions, others + first, rows[best], saving[np.arange(len(others)), best])
+    return complete
 
 
-def _savings(live: _Live, rows: IntArray, columns: slice, rules: MergeRules) -> Pixels:
-    """Compute how many pixels each row saves with each column; 0 where they may not merge."""
+def _savings(regions: _Round, rows: IntArray, columns: slice, rules: MergeRules) -> Pixels:
+    """Compute the pixels saved by merging each row with each column; 0 if not allowed."""
     sides = []
     fits: NDArray[np.bool_] | None = None
     for axis in (0, 1):
-        low, high = live.corners[axis], live.corners[axis + 2]
+        low, high = regions.corners[axis], regions.corners[axis + 2]
         side = np.maximum(high[rows, None], high[columns])
         side -= np.minimum(low[rows, None], low[columns])
         if rules.step > 1:
@@ -171,7 +155,7 @@ def _savings(live: _Live, rows: IntArray, columns: slice, rules: MergeRules) -> 
             fits = short if fits is None else fits & short
         sides.append(side)
     area = sides[0] * sides[1]
-    mine, theirs = live.area[rows, None], live.area[columns]
+    mine, theirs = regions.area[rows, None], regions.area[columns]
     saving = mine + theirs
     saving -= area
     if fits is not None:
@@ -179,29 +163,29 @@ def _savings(live: _Live, rows: IntArray, columns: slice, rules: MergeRules) -> 
     return saving
 
 
-def _note_best(live: _Live, rows: IntArray, partner: IntArray, saving: Pixels) -> None:
-    """Keep for some regions the better of the partner known and a new one."""
-    better = saving > live.saving[rows]
+def _keep_better(regions: _Round, rows: IntArray, partner: IntArray, saving: Pixels) -> None:
+    """Keep the better of the known partner and a new one for some regions."""
+    better = saving > regions.saving[rows]
     chosen = rows[better]
-    live.partner[chosen] = partner[better]
-    live.saving[chosen] = saving[better]
+    regions.partner[chosen] = partner[better]
+    regions.saving[chosen] = saving[better]
 
 
-def _couple(live: _Live) -> IntArray:
-    """Let regions join; give for each the one that stands for all it has joined, (N,)."""
-    root = list(range(len(live.area)))
-    willing = np.flatnonzero(live.partner != _NOBODY)
-    willing = willing[np.argsort(-live.saving[willing], kind='stable')]
-    # Nothing saves more than its own pixels, and those only within another region.
-    within = (live.saving == live.area).tolist()
-    # Whatever lies within another goes there, and is no partner for a third.
+def _group(regions: _Round) -> IntArray:
+    """Choose what to merge: for each region, the first region of its group, (N,)."""
+    root = list(range(len(regions.area)))
+    paired = np.flatnonzero(regions.partner != _NO_PARTNER)
+    paired = paired[np.argsort(-regions.saving[paired], kind='stable')]
+    # A region saves at most its own pixels, and only if it is inside another one.
+    within = (regions.saving == regions.area).tolist()
+    # A region inside another one is merged into it, and is no partner for a third.
     taken = within.copy()
-    for one, other in zip(willing.tolist(), live.partner[willing].tolist(), strict=True):
+    for one, other in zip(paired.tolist(), regions.partner[paired].tolist(), strict=True):
         if not within[one]:
             if taken[one] or taken[other]:
                 continue
             taken[one] = taken[other] = True
-        one_root, other_root = _root(root, one), _root(root, other)
+        one_root, other_root = _find_root(root, one), _find_root(root, other)
         root[max(one_root, other_root)] = min(one_root, other_root)
     roots = np.array(root, np.intp)
     while (roots[roots] != roots).any():
@@ -209,34 +193,35 @@ def _couple(live: _Live) -> IntArray:
     return roots
 
 
-def _root(root: list[int], each: int) -> int:
-    """Follow who joined whom to the end, and shorten the way there."""
+def _find_root(root: list[int], each: int) -> int:
+    """Find the first region of a group, shortening the path (union-find)."""
     while root[each] != each:
         root[each] = root[root[each]]
         each = root[each]
     return each
 
 
-def _unite(live: _Live, root: IntArray, rules: MergeRules) -> tuple[_Live, IntArray]:
-    """Make the regions of the next round; also tell where each of this one's went, (N,)."""
+def _merge(regions: _Round, root: IntArray, rules: MergeRules) -> tuple[_Round, IntArray]:
+    """Merge into the regions of the next round; also return the new index of each region, (N,)."""
     order = np.argsort(root, kind='stable')
     starts = np.flatnonzero(np.diff(root[order], prepend=-1))
-    changed = np.diff(starts, append=len(root)) > 1
-    low = np.minimum.reduceat(live.corners[:2, order], starts, axis=1)
-    high = np.maximum.reduceat(live.corners[2:, order], starts, axis=1)
+    sizes = np.diff(starts, append=len(root))
+    changed = sizes > 1
+    low = np.minimum.reduceat(regions.corners[:2, order], starts, axis=1)
+    high = np.maximum.reduceat(regions.corners[2:, order], starts, axis=1)
     low[:, changed], high[:, changed] = rules.fit(low[:, changed], high[:, changed])
     corners = np.concatenate((low, high))
     sorting = _in_order(corners)
-    place = np.empty(len(root), np.intp)
-    place[order] = np.repeat(np.argsort(sorting), np.diff(starts, append=len(root)))
-    heirs = order[starts][sorting]
-    united = _Live(corners[:, sorting])
-    lost = changed[sorting]
-    known = live.partner[heirs]
-    # A partner that has changed may have become better or worse.
-    moved = (known != _NOBODY) & lost[place[known]]
-    united.stale = lost | moved
-    keep = ~united.stale & (known != _NOBODY)
-    united.partner[keep] = place[known[keep]]
-    united.saving[keep] = live.saving[heirs][keep]
-    return united, place
+    new_index = np.empty(len(root), np.intp)
+    new_index[order] = np.repeat(np.argsort(sorting), sizes)
+    first_of = order[starts][sorting]
+    merged = _Round(corners[:, sorting])
+    grown = changed[sorting]
+    known = regions.partner[first_of]
+    # A changed partner may have become better or worse.
+    moved = (known != _NO_PARTNER) & grown[new_index[known]]
+    merged.stale = grown | moved
+    keep = ~merged.stale & (known != _NO_PARTNER)
+    merged.partner[keep] = new_index[known[keep]]
+    merged.saving[keep] = regions.saving[first_of][keep]
+    return merged, new_index

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs what belongs to the same stamp, in bounded memory, whichever comes first."""
+"""Pairs two kinds of items by exact stamp, in bounded memory and in any order of arrival."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PAIRED_REMEMBERED = 1000
 
 
 class Unpaired(str, Enum):
-    """Why an item was let go without its partner."""
+    """Why an item was discarded without a partner."""
 
     EXPIRED = 'expired'
     CROWDED_OUT = 'crowded_out'
@@ -29,12 +29,12 @@ class Unpaired(str, Enum):
 @dataclass(frozen=True)
 class PairingLimits:
     """
-    How much may wait, and for how long.
+    How many items may wait, and for how long.
 
     Attributes
     ----------
     capacity : tuple of int
-        Items of the one kind and of the other; the oldest goes when there are more.
+        Maximum number of waiting items of kinds 0 and 1; the oldest is discarded first.
     max_age : float
         Seconds from the arrival of an item.
     """
@@ -45,24 +45,32 @@ class PairingLimits:
 
 class Pairing:
     """
-    A cache of two kinds of items, 0 and 1, that belong together by exact stamp.
+    A cache of two kinds of items, 0 and 1, that are paired by exact stamp.
 
     Parameters
     ----------
-    let_go : callable
-        Called with kind, reason and item for every item that finds no partner.
-    ran_back : callable
-        Called with kind, latest stamp and new stamp where the new one is the earlier: a bag that
-        loops, a clock that was set back.
+    on_unpaired : callable
+        Called with kind, reason and item for each item that is discarded without a partner.
+    on_jump_back : callable
+        Called with kind, latest stamp and new stamp if the new one is earlier: a bag that loops,
+        or a clock that was set back.
+
+    Examples
+    --------
+    >>> pairing = Pairing(on_unpaired=print, on_jump_back=print)
+    >>> limits = PairingLimits(capacity=(10, 10), max_age=1.0)
+    >>> pairing.add(0, (5, 0), 'regions', now=0.0, limits=limits)
+    >>> pairing.add(1, (5, 0), 'image', now=0.1, limits=limits)
+    ('regions', 'image')
     """
 
     def __init__(
         self,
-        let_go: Callable[[int, Unpaired, Any], None],
-        ran_back: Callable[[int, Stamp, Stamp], None],
+        on_unpaired: Callable[[int, Unpaired, Any], None],
+        on_jump_back: Callable[[int, Stamp, Stamp], None],
     ) -> None:
-        self._let_go = let_go
-        self._ran_back = ran_back
+        self._on_unpaired = on_unpaired
+        self._on_jump_back = on_jump_back
         self._latest: list[Stamp] = [(0, 0), (0, 0)]
         self._waiting: tuple[OrderedDict[Stamp, tuple[float, Any]], ...] = (
             OrderedDict(), OrderedDict()
@@ -77,72 +85,54 @@ class Pairing:
         self, kind: int, stamp: Stamp, item: Any, now: float, limits: PairingLimits
     ) -> tuple[Any, Any] | None:
         """
-        Take an item in.
+        Add an item of kind 0 or 1 at `now`, seconds of a monotonic clock.
 
-        Parameters
-        ----------
-        kind : int
-            0 or 1.
-        stamp : tuple of int
-            Seconds and nanoseconds. Zero is no stamp and pairs with nothing.
-        item : object
-            The item.
-        now : float
-            Seconds, of a clock that never goes back.
-        limits : PairingLimits
-            How much may wait, and for how long.
-
-        Returns
-        -------
-        tuple of object, or None
-            The items of kind 0 and 1 with this stamp, if this was the second of them.
+        Returns the items of kinds 0 and 1 with this stamp, if both are there. A zero stamp means no
+        stamp and is never paired.
         """
         self.expire(now, limits)
         if stamp == (0, 0):
-            self._let_go(kind, Unpaired.ZERO_STAMP, item)
+            self._on_unpaired(kind, Unpaired.ZERO_STAMP, item)
             return None
         if stamp < self._latest[kind]:
-            self._ran_back(kind, self._latest[kind], stamp)
-            # What comes now has been there before, and is to be paired again.
+            self._on_jump_back(kind, self._latest[kind], stamp)
+            # The same stamps come again and must be paired again.
             self._paired.clear()
         self._latest[kind] = stamp
         mine, others = self._waiting[kind], self._waiting[1 - kind]
         if stamp in self._paired:
-            self._let_go(kind, Unpaired.DUPLICATE, item)
+            self._on_unpaired(kind, Unpaired.DUPLICATE, item)
             return None
         if stamp in others:
             _, other = others.pop(stamp)
-            self._remember(stamp, now)
+            # A duplicate of either item may still arrive.
+            self._paired[stamp] = now
+            if len(self._paired) > _PAIRED_REMEMBERED:
+                self._paired.popitem(last=False)
             return (item, other) if kind == 0 else (other, item)
         if stamp in mine:
-            self._let_go(kind, Unpaired.DUPLICATE, mine.pop(stamp)[1])
+            self._on_unpaired(kind, Unpaired.DUPLICATE, mine.pop(stamp)[1])
         mine[stamp] = now, item
         while len(mine) > limits.capacity[kind]:
-            self._let_first_go(kind, Unpaired.CROWDED_OUT)
+            self._discard_oldest(kind, Unpaired.CROWDED_OUT)
         return None
 
     def expire(self, now: float, limits: PairingLimits) -> None:
-        """Let go what has waited too long."""
+        """Discard items that have waited too long."""
         for kind, waiting in enumerate(self._waiting):
             while waiting and now - next(iter(waiting.values()))[0] > limits.max_age:
-                self._let_first_go(kind, Unpaired.EXPIRED)
+                self._discard_oldest(kind, Unpaired.EXPIRED)
         while self._paired and now - next(iter(self._paired.values())) > limits.max_age:
             self._paired.popitem(last=False)
 
     def clear(self) -> None:
-        """Let everything go, and take whatever stamps come next for new."""
+        """Discard all items; the next stamp of either kind is not a jump back."""
         self._latest = [(0, 0), (0, 0)]
         for kind, waiting in enumerate(self._waiting):
             while waiting:
-                self._let_first_go(kind, Unpaired.CLEARED)
+                self._discard_oldest(kind, Unpaired.CLEARED)
 
-    def _let_first_go(self, kind: int, reason: Unpaired) -> None:
-        """Let the oldest of a kind go."""
+    def _discard_oldest(self, kind: int, reason: Unpaired) -> None:
+        """Discard the oldest item of a kind."""
         _, (_, item) = self._waiting[kind].popitem(last=False)
-        self._let_go(kind, reason, item)
-
-    def _remember(self, stamp: Stamp, now: float) -> None:
-        """Know a stamp that had its pair, as long as another item of it may be on its way."""
-        self._paired[stamp] = now
-        if len(self._paired) > _PAIRED_REMEMBERED:
-            self._paired.popitem(last=False)
+        self._on_unpaired(kind, reason, item)

@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import Defect
 from obbhbb_ros.boxes import OrientedBoxes
@@ -68,11 +67,11 @@ class Tally:
 
     @property
     def readable(self) -> bool:
-        """Whether anything was read; a data set with no boxes and no errors is only empty."""
+        """Whether anything was read; images without boxes and without errors are valid."""
         return self.boxes > 0 or (self.images > 0 and self.complete)
 
     def __str__(self) -> str:
-        """Sum up in one line."""
+        """Return the counts in one line."""
         reasons = ', '.join(f'{count} {reason}' for reason, count in self.left_out.items())
         return (
             f'{self.images} images, {self.boxes} boxes converted, '
@@ -85,18 +84,7 @@ def convert_image(
     labels: ImageLabels, rule: HullRule, caps: Caps = NO_CAPS, diagnostics: bool = False
 ) -> tuple[ImageBoxes, dict[int, str]]:
     """
-    Convert the boxes of an image.
-
-    Parameters
-    ----------
-    labels : ImageLabels
-        N oriented boxes.
-    rule : HullRule
-        The rule.
-    caps : Caps
-        Limits of the result.
-    diagnostics : bool
-        Whether to keep how each box was computed.
+    Convert the boxes of an image, and keep how each was computed if `diagnostics`.
 
     Returns
     -------
@@ -106,10 +94,13 @@ def convert_image(
     boxes = OrientedBoxes.from_corners(labels.corners)
     conversion = convert_with_diagnostics(boxes, rule, caps) if diagnostics else None
     xyxy = convert_by_rule(boxes, rule, caps) if conversion is None else conversion.xyxy
-    # The area has to be finite as well: some formats hold it.
+    # The area must be finite too, since COCO files contain it.
     with np.errstate(over='ignore', invalid='ignore'):
         finite = np.isfinite((xyxy[:, 2:] - xyxy[:, :2]).prod(axis=1))
     rows = np.flatnonzero(finite)
+    if conversion is not None:
+        columns = {each.name: getattr(conversion, each.name)[rows] for each in fields(conversion)}
+        conversion = Conversion(**columns)
     image = ImageBoxes(
         image=labels.image,
         xyxy=xyxy[rows],
@@ -118,7 +109,7 @@ def convert_image(
         scores=labels.scores[rows],
         size=labels.size,
         source=labels.source,
-        diagnostics=None if conversion is None else _select(conversion, rows),
+        diagnostics=conversion,
     )
     bad = np.flatnonzero(~finite).tolist()
     return image, {row: _reason(Defect(boxes.defects[row])) for row in bad}
@@ -127,11 +118,6 @@ def convert_image(
 def _reason(defect: Defect) -> str:
     # A box without a defect is left out because its result is too large.
     return 'overflow' if defect == Defect.NONE else defect.name.lower().replace('_', ' ')
-
-
-def _select(conversion: Conversion, rows: NDArray[np.intp]) -> Conversion:
-    names = [field.name for field in fields(Conversion)]
-    return Conversion(**{name: getattr(conversion, name)[rows] for name in names})
 
 
 def convert_labels(
@@ -182,7 +168,7 @@ def convert_file(
     source, target : Path
         Label file or folder to read, and to write.
     rule, caps, diagnostics
-        As for `convert_image`.
+        How to convert, and whether to write how each box was computed.
     source_format, target_format : str, optional
         Names of `obbhbb_ros.labels.FORMATS`; by default the first is detected and the second
         follows from the suffix of `target`.
@@ -193,11 +179,6 @@ def convert_file(
     progress : callable, optional
         Gets the images as they are read and the number of files if `source` is a folder; passes
         the images on and shows the progress.
-
-    Returns
-    -------
-    Tally
-        The counts.
 
     Raises
     ------
@@ -229,10 +210,10 @@ def convert_file(
 
 
 def _sized(image: ImageBoxes) -> ImageBoxes:
-    """Take the size from the image file if the labels do not have it."""
+    """Read the size from the image file if the labels do not have it."""
     if image.size is not None or not image.class_ids:
         return image
-    # Where the label file of that image would be.
+    # The path that a label file of this image would have.
     place = image.source.parent / f'{bare_name(image.image)}.txt'
     try:
         return replace(image, size=stored_size(place))

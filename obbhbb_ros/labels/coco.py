@@ -29,22 +29,13 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
-from typing import NamedTuple
 
 import numpy as np
 
+from obbhbb_ros.labels import documents
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels import text
-from obbhbb_ros.labels.documents import image_size_of
-from obbhbb_ros.labels.documents import json_member
-from obbhbb_ros.labels.documents import json_number
-from obbhbb_ros.labels.documents import json_numbers
-from obbhbb_ros.labels.documents import numbered
-from obbhbb_ros.labels.documents import plain_text
-from obbhbb_ros.labels.documents import read_json
-from obbhbb_ros.labels.records import NO_REFERENCE
 from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import BoxRow
 from obbhbb_ros.labels.records import FloatArray
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
@@ -58,23 +49,18 @@ MARKS = ('"annotations"', '"images"', '"categories"', '"licenses"')
 Id = int | str
 
 
-class _Image(NamedTuple):
-    name: str
-    size: ImageSize | None
-
-
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
-    document = read_json(file)
+    document = documents.read_json(file)
     _check_lists(file, document)
     images = _by_id(file, 'images', document['images'], _image)
     categories = None
     if 'categories' in document:
         categories = _by_id(file, 'categories', document['categories'], _category)
-    annotations = numbered('annotations', document['annotations'])
+    annotations = documents.numbered('annotations', document['annotations'])
     records = file.parse_each(annotations, partial(_annotation, images, categories))
     boxes = shapes.enclose(file, records)
-    for key, image in images.items():
-        yield file.image(image.name, boxes.get(repr(key), []), image.size)
+    for key, (name, size) in images.items():
+        yield file.image(name, boxes.get(repr(key), []), size)
 
 
 def _check_lists(file: LabelFile, document: Any) -> None:
@@ -97,13 +83,13 @@ def _by_id(
             raise ValueError(f'id {key!r} is already used')
         return key, parse(record)
 
-    for _, _, (key, item) in file.parse_each(numbered(name, records), parse_new):
+    for _, _, (key, item) in file.parse_each(documents.numbered(name, records), parse_new):
         found[key] = item
     return found
 
 
 def _id(record: object, name: str) -> Id:
-    key = json_member(record, name)
+    key = documents.json_member(record, name)
     if isinstance(key, bool) or not isinstance(key, int | str):
         raise ValueError(f'{name!r} is {key!r}, which is not an id')
     return key
@@ -116,15 +102,16 @@ def _known_id(record: object, name: str, known: Collection[Id]) -> Id:
     return key
 
 
-def _image(record: dict[str, Any]) -> _Image:
-    name = json_member(record, 'file_name')
+def _image(record: dict[str, Any]) -> tuple[str, ImageSize | None]:
+    name = documents.json_member(record, 'file_name')
     if not isinstance(name, str) or not name:
         raise ValueError("'file_name' is not a name")
-    return _Image(plain_text(name), image_size_of(record.get('width'), record.get('height')))
+    size = documents.image_size_of(record.get('width'), record.get('height'))
+    return documents.plain_text(name), size
 
 
 def _category(record: dict[str, Any]) -> str:
-    return plain_text(json_member(record, 'name'))
+    return documents.plain_text(documents.json_member(record, 'name'))
 
 
 def _annotation(
@@ -132,29 +119,25 @@ def _annotation(
 ) -> shapes.Outlined:
     image = repr(_known_id(annotation, 'image_id', images))
     if categories is None:
-        class_id = plain_text(_id(annotation, 'category_id'))
+        class_id = documents.plain_text(_id(annotation, 'category_id'))
     else:
         class_id = categories[_known_id(annotation, 'category_id', categories)]
-    score = annotation.get('score')
+    score, bbox = annotation.get('score'), annotation.get('bbox')
     box = Box(
         corners=(),
         class_id=class_id,
-        id=plain_text(annotation.get('id')),
-        score=1.0 if score is None else json_number(score, 'score'),
-        reference=_reference(annotation.get('bbox')),
+        id=documents.plain_text(annotation.get('id')),
+        score=1.0 if score is None else documents.json_number(score, 'score'),
     )
+    if bbox is not None:
+        bounds = shapes.bounds_of_xywh(*documents.json_numbers(bbox, 4, 'bbox'))
+        box = box._replace(reference=bounds)
     rings = _rings(annotation.get('segmentation'))
     if rings:
         return shapes.Outlined(image, box, rings)
-    if box.reference is NO_REFERENCE:
+    if bbox is None:
         raise ValueError("neither 'segmentation' nor 'bbox'")
     return shapes.Outlined(image, box._replace(corners=shapes.upright_corners(box.reference)))
-
-
-def _reference(bbox: object) -> tuple[float, ...]:
-    if bbox is None:
-        return NO_REFERENCE
-    return tuple(shapes.bounds_of_xywh(*json_numbers(bbox, 4, 'bbox')))
 
 
 def _rings(segmentation: object) -> list[FloatArray]:
@@ -164,28 +147,29 @@ def _rings(segmentation: object) -> list[FloatArray]:
         return []
     if not isinstance(segmentation, list):
         raise ValueError('segmentation is not an array of polygons')
-    return [_ring(json_numbers(polygon, None, 'segmentation')) for polygon in segmentation]
-
-
-def _ring(numbers: list[float]) -> FloatArray:
-    if len(numbers) < 6 or len(numbers) % 2:
-        raise ValueError(f'a polygon of {len(numbers)} numbers: x and y of three points or more')
-    return np.array(numbers).reshape(-1, 2)
+    rings = []
+    for polygon in segmentation:
+        numbers = documents.json_numbers(polygon, None, 'segmentation')
+        if len(numbers) < 6 or len(numbers) % 2:
+            count = len(numbers)
+            raise ValueError(f'a polygon of {count} numbers: x and y of three points or more')
+        rings.append(np.array(numbers).reshape(-1, 2))
+    return rings
 
 
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
     names = list(dict.fromkeys(name for each in images for name in each.class_ids))
+    records: list[dict[str, Any]] = []
+    for number, each in enumerate(images, start=1):
+        records.append({'id': number, 'file_name': each.image})
+        if each.size is not None:
+            records[-1] |= {'width': each.size[0], 'height': each.size[1]}
     document = {
-        'images': [_image_record(number, each) for number, each in enumerate(images, start=1)],
+        'images': records,
         'categories': [{'id': number, 'name': name} for number, name in enumerate(names, start=1)],
         'annotations': _annotation_records(images, names),
     }
     text.write_lines(path, [json.dumps(document, ensure_ascii=False, allow_nan=False)])
-
-
-def _image_record(number: int, image: ImageBoxes) -> dict[str, object]:
-    size = {} if image.size is None else dict(zip(('width', 'height'), image.size, strict=True))
-    return {'id': number, 'file_name': image.image, **size}
 
 
 def _annotation_records(images: list[ImageBoxes], names: list[str]) -> list[dict[str, Any]]:
@@ -196,30 +180,23 @@ def _annotation_records(images: list[ImageBoxes], names: list[str]) -> list[dict
     records: list[dict[str, Any]] = []
     for image_id, image in enumerate(images, start=1):
         for box in image.rows():
-            number = int(box.id) if keep else len(records) + 1
-            record = _annotation_record(number, image_id, categories[box.class_id], box)
+            x_min, y_min, x_max, y_max = box.xyxy
+            width, height = x_max - x_min, y_max - y_min
+            record: dict[str, Any] = {
+                'id': int(box.id) if keep else len(records) + 1,
+                'image_id': image_id,
+                'category_id': categories[box.class_id],
+                'bbox': [x_min, y_min, width, height],
+                'area': width * height,
+                'iscrowd': 0,
+                **box.diagnostics,
+            }
             if scored:
                 record['score'] = box.score
             if box.id and not keep:
                 record['instance'] = box.id
             records.append(record)
     return records
-
-
-def _annotation_record(
-    number: int, image_id: int, category_id: int, box: BoxRow
-) -> dict[str, Any]:
-    x_min, y_min, x_max, y_max = box.xyxy
-    width, height = x_max - x_min, y_max - y_min
-    return {
-        'id': number,
-        'image_id': image_id,
-        'category_id': category_id,
-        'bbox': [x_min, y_min, width, height],
-        'area': width * height,
-        'iscrowd': 0,
-        **box.diagnostics,
-    }
 
 
 FORMAT = Format(

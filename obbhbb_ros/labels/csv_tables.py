@@ -9,8 +9,8 @@ With corners::
 
 The header gives the order of the columns; unknown columns are ignored. ``hx1`` to ``hy2``, the
 reference box, may be empty or absent, and so may ``mask``, the hull polygon, and ``score``, which
-is then 1. A row is one line, quoted fields included, so that a stray quote costs one row and not
-the rest of the file. A row with an image name and nothing else is an image without boxes. The eight
+is then 1. A row is one line, quoted fields included, so that a stray quote damages one row and not
+the rest of the file. A row with only an image name is an image without boxes. The eight
 corners may be replaced by ``x_min,y_min,x_max,y_max``, as `obbhbb convert` writes them: the box is
 then upright, and its own reference box.
 
@@ -33,7 +33,6 @@ import re
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
-from collections.abc import Mapping
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -83,12 +82,7 @@ def _read_wkt(file: LabelFile) -> Iterator[ImageLabels]:
 def _read_rows(
     file: LabelFile, parser_for: Callable[[list[str]], Callable[[list[str]], Item]]
 ) -> Iterator[tuple[int | None, str, Item]]:
-    """
-    Parse the rows below a header, one line each, see `LabelFile.parse_each`.
-
-    `parser_for` turns the column names into a function that parses the fields of a row. Both raise
-    ValueError if they cannot use what they get.
-    """
+    """Parse the rows below a header; `parser_for` makes the row parser from the column names."""
     lines = text.filled_lines(file)
     number, _, header = next(lines, (None, '', ''))
     try:
@@ -118,11 +112,6 @@ def _split_row(line: str) -> list[str]:
 def _row_parser(columns: list[str]) -> Callable[[list[str]], tuple[str, Box | None]]:
     upright = not set(BOUNDS).isdisjoint(columns) and set(CORNERS).isdisjoint(columns)
     shape = BOUNDS if upright else CORNERS
-    _check_columns(columns, shape)
-    return partial(_parse_row, columns, shape)
-
-
-def _check_columns(columns: Sequence[str], shape: Sequence[str]) -> None:
     reference = () if set(REFERENCE).isdisjoint(columns) else REFERENCE
     missing = [column for column in (*NAMES, *shape, *reference) if column not in columns]
     if missing:
@@ -130,6 +119,7 @@ def _check_columns(columns: Sequence[str], shape: Sequence[str]) -> None:
     twice = [column for column in (*COLUMNS, *shape) if columns.count(column) > 1]
     if twice:
         raise ValueError(f'columns named more than once: {", ".join(dict.fromkeys(twice))}')
+    return partial(_parse_row, columns, shape)
 
 
 def _parse_row(
@@ -142,24 +132,13 @@ def _parse_row(
     if sum(map(bool, fields)) == 1:
         return row['image'], None
     corners: Sequence[float] = text.parse_numbers([row[column] for column in shape])
-    reference = _parse_reference(row)
+    given = [row.get(column, '') for column in REFERENCE]
+    reference: Sequence[float] = text.parse_numbers(given) if any(given) else NO_REFERENCE
     if shape is BOUNDS:
         reference = corners if reference is NO_REFERENCE else reference
         corners = shapes.upright_corners(corners)
-    box = Box(
-        corners=corners,
-        class_id=row['class'],
-        id=row['instance'],
-        score=text.parse_score(row.get('score', '')),
-        reference=reference,
-        hull=_parse_hull(row.get('mask', '')),
-    )
-    return row['image'], box
-
-
-def _parse_reference(row: Mapping[str, str]) -> Sequence[float]:
-    fields = [row.get(column, '') for column in REFERENCE]
-    return text.parse_numbers(fields) if any(fields) else NO_REFERENCE
+    score, hull = text.parse_score(row.get('score', '')), _parse_hull(row.get('mask', ''))
+    return row['image'], Box(corners, row['class'], row['instance'], score, reference, hull)
 
 
 def _parse_hull(field: str) -> FloatArray | None:
@@ -245,18 +224,15 @@ def _write_rows(
     images: Iterable[AnyImage],
     rows_of: Callable[[AnyImage], Iterable[list[str]]],
 ) -> None:
-    """Write one row per box, and one with only the name for an image without boxes."""
+    """Write one row per box, and one row with only the name for an image without boxes."""
     lines = [_join_row(columns)]
     for image in images:
         if not image.image:
             raise ValueError(f'a table cannot hold an image without a name (from {image.source})')
         rows = rows_of(image) if image.class_ids else [[image.image]]
-        lines += [_join_row(_filled(row, len(columns))) for row in rows]
+        padding = [''] * len(columns)
+        lines += [_join_row((row + padding)[: len(columns)]) for row in rows]
     text.write_lines(path, lines)
-
-
-def _filled(row: list[str], count: int) -> list[str]:
-    return [*row, *[''] * (count - len(row))][:count]
 
 
 def _join_row(fields: Sequence[str]) -> str:
@@ -264,7 +240,7 @@ def _join_row(fields: Sequence[str]) -> str:
     csv.writer(row, lineterminator='').writerow(fields)
     line = row.getvalue()
     if '\n' in line or '\r' in line:
-        raise ValueError(f'a row of a table is one line, this one has a line break: {line!r}')
+        raise ValueError(f'a table row must be one line, but this one has a line break: {line!r}')
     return line
 
 

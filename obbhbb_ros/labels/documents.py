@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""XML and JSON label files: parsing of whole documents, and checks of what they hold."""
+"""JSON label files, and checks of the values in any document."""
 
 from __future__ import annotations
 
@@ -8,143 +8,27 @@ import math
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
-from collections.abc import Sequence
 from typing import Any
-from xml.etree.ElementTree import Element
-from xml.etree.ElementTree import TreeBuilder
-from xml.parsers import expat
 
-from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import ImageSize
 from obbhbb_ros.labels.records import LabelFile
-from obbhbb_ros.labels.text import parse_numbers
-
-# The parser goes on to the end of a block after a handler has raised.
-BLOCK_BYTES = 65536
-
-
-def read_xml_boxes(
-    file: LabelFile, root_tag: str, objects: str, parse: Callable[[Element], Box]
-) -> tuple[Element, list[Box]]:
-    """
-    Read an XML file with one element per box.
-
-    Parameters
-    ----------
-    file : LabelFile
-        The file. A document type declaration is refused: label files have none, and its entities
-        may expand to gigabytes or name other files.
-    root_tag, objects : str
-        Tag that the root must have, and path of the objects below it.
-    parse : callable
-        Element to Box; raises ValueError if it is malformed.
-
-    Returns
-    -------
-    Element, list of Box
-        The root, and the boxes in the order of the file.
-
-    Raises
-    ------
-    FileError
-        If it is not well-formed XML, has a document type declaration or another root.
-    """
-    root, lines = _parse_xml(file)
-    if root.tag != root_tag:
-        raise file.error(f'the root is <{root.tag}>, expected <{root_tag}>', lines[root])
-    records = (
-        (lines[element], f'object {number}: ', element)
-        for number, element in enumerate(root.findall(objects), start=1)
-    )
-    return root, [box for _, _, box in file.parse_each(records, parse)]
-
-
-def _parse_xml(file: LabelFile) -> tuple[Element, dict[Element, int]]:
-    """Parse an XML file; also return the line that each element begins in."""
-    data = file.path.read_bytes()
-    builder = TreeBuilder()
-    lines: dict[Element, int] = {}
-    parser = expat.ParserCreate()
-    parser.buffer_text = True
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
-
-    def refuse(*_: object) -> None:
-        raise ValueError('a document type declaration (DOCTYPE) is not accepted')
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = builder.end
-    parser.CharacterDataHandler = builder.data
-    parser.StartDoctypeDeclHandler = refuse
-    try:
-        for begin in range(0, len(data), BLOCK_BYTES):
-            parser.Parse(data[begin : begin + BLOCK_BYTES], False)
-        parser.Parse(b'', True)
-    except expat.ExpatError as error:
-        raise file.error(f'not XML: {expat.ErrorString(error.code)}', error.lineno) from None
-    except (ValueError, LookupError) as error:
-        # An encoding that Python cannot supply to the parser is a LookupError or a ValueError.
-        raise file.error(str(error), parser.CurrentLineNumber) from None
-    return builder.close(), lines
-
-
-def xml_text(element: Element, *tags: str) -> str:
-    """Return the stripped text of the first child element that has any, else ''."""
-    texts = ((element.findtext(tag) or '').strip() for tag in tags)
-    return next(filter(None, texts), '')
-
-
-def xml_numbers(element: Element, tags: Sequence[str]) -> list[float]:
-    """
-    Read child elements that hold a number each.
-
-    Raises
-    ------
-    ValueError
-        If one is missing, or is not a finite number.
-    """
-    return [_xml_number(element, tag) for tag in tags]
-
-
-def _xml_number(element: Element, tag: str) -> float:
-    text = element.findtext(tag)
-    if text is None:
-        raise ValueError(f'no <{tag}> in <{element.tag}>')
-    try:
-        (number,) = parse_numbers([text.strip()])
-    except ValueError as error:
-        raise ValueError(f'<{tag}>: {error}') from None
-    return number
-
-
-def has_any(element: Element, tags: Sequence[str]) -> bool:
-    """Return whether an element has one of these children."""
-    return any(element.find(tag) is not None for tag in tags)
 
 
 def image_size_of(width: object, height: object) -> ImageSize | None:
     """Return an image size if both are positive whole numbers or the text of one."""
-    sides = []
-    for value in (width, height):
-        text = str(value)
-        if isinstance(value, bool) or not (text.isascii() and text.isdigit() and len(text) < 10):
-            return None
-        sides.append(int(text))
-    return (sides[0], sides[1]) if min(sides) > 0 else None
+    sides = str(width), str(height)
+    if not all(side.isascii() and side.isdigit() and len(side) < 10 for side in sides):
+        return None
+    size = int(sides[0]), int(sides[1])
+    return size if min(size) > 0 else None
 
 
 def read_json(file: LabelFile, shorten: Callable[[dict[str, Any]], Any] | None = None) -> Any:
     """
-    Parse a JSON file, UTF-8 with or without BOM.
+    Parse a JSON file, UTF-8 with or without BOM; raise FileError if it is none.
 
     `shorten` is called with each JSON object as soon as it is complete; its result replaces the
     object.
-
-    Raises
-    ------
-    FileError
-        If it is not JSON or nested too deeply.
     """
     data = file.path.read_bytes()
     try:
@@ -163,14 +47,7 @@ def numbered(name: str, records: Iterable[Any]) -> Iterator[tuple[None, str, Any
 
 
 def json_member(record: object, name: str) -> Any:
-    """
-    Return a member of a JSON object.
-
-    Raises
-    ------
-    ValueError
-        If `record` is not an object, or has no such member.
-    """
+    """Return a member of a JSON object; raise ValueError if it is no object or has none."""
     if not isinstance(record, dict):
         raise ValueError('not a JSON object')
     if name not in record:
@@ -182,10 +59,7 @@ def json_numbers(values: object, count: int | None, what: str) -> list[float]:
     """
     Check a JSON array of finite numbers: `count` of them, or any number if that is None.
 
-    Raises
-    ------
-    ValueError
-        If it is anything else; the message calls it `what`.
+    Raises ValueError if it is anything else; the message calls it `what`.
     """
     if not isinstance(values, list) or (count is not None and len(values) != count):
         raise ValueError(f'{what} is not an array of {"" if count is None else f"{count} "}numbers')
@@ -193,14 +67,7 @@ def json_numbers(values: object, count: int | None, what: str) -> list[float]:
 
 
 def json_number(value: object, what: str) -> float:
-    """
-    Check a finite number.
-
-    Raises
-    ------
-    ValueError
-        If it is anything else; the message calls it `what`.
-    """
+    """Check a finite number; raise ValueError, which calls it `what`, if it is anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f'{what} has {value!r}, which is not a number')
     try:
@@ -216,10 +83,7 @@ def plain_text(value: object) -> str:
     """
     Turn a JSON or table value into the text of an id or a class; '' for none.
 
-    Raises
-    ------
-    ValueError
-        If it is text that cannot be written to a file: JSON can hold half a character.
+    Raises ValueError for text that cannot be written to a file: JSON can hold half a character.
     """
     if isinstance(value, str):
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which files of a folder are label files, and which file an image's labels are written to."""
+"""Label files in a folder, and the file that the labels of an image are written to."""
 
 from __future__ import annotations
 
@@ -19,48 +19,29 @@ IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.tif', '.tiff', '.bmp', '.webp', '.j
 
 def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
     """
-    List the label files of a path.
+    List the label files of a path, at least one, sorted by name.
 
-    Parameters
-    ----------
-    path : Path
-        A file, whatever its name, or a folder with label files directly in it. Hidden files and
-        ``classes.txt`` are not label files.
-    suffixes : collection of str
-        Suffixes to look for in a folder, lower case; files may have them in upper case.
-
-    Returns
-    -------
-    list of Path
-        Sorted by name, at least one.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the path does not exist.
-    ValueError
-        If it is a pipe or a device.
-    LabelError
-        If a folder holds no label file.
+    The path is a file, whatever its name, or a folder with label files directly in it: files with
+    one of some suffixes, given in lower case. Hidden files and ``classes.txt`` are not label files.
+    Raises FileNotFoundError if there is no such path, ValueError for a pipe or a device, and
+    LabelError if a folder holds no label file.
     """
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, 'no such label file or folder', str(path))
     if path.is_file():
         return [path]
     if not path.is_dir():
-        # Reading a pipe would wait for data, and detecting the format reads it twice.
+        # A pipe can be read only once, and format detection reads the file before.
         raise ValueError(f'{path}: neither a regular file nor a folder')
-    files = sorted(each for each in path.iterdir() if _is_label_file(each, suffixes))
+    files = sorted(
+        each for each in path.iterdir()
+        if each.suffix.lower() in suffixes and each.is_file()
+        and not each.name.startswith('.') and each.name != CLASSES_FILE
+    )
     if not files:
         wanted = ', '.join(sorted(suffixes))
         raise LabelError(path, None, f'no label file in this folder (looked for {wanted})')
     return files
-
-
-def _is_label_file(path: Path, suffixes: Collection[str]) -> bool:
-    if path.name.startswith('.') or path.name == CLASSES_FILE:
-        return False
-    return path.suffix.lower() in suffixes and path.is_file()
 
 
 def target_files(
@@ -69,25 +50,14 @@ def target_files(
     """
     Choose the label file of each image.
 
-    Parameters
-    ----------
-    path : Path
-        A folder, which need not exist; or, for a single image, a file that ends in `suffix`.
-    images : iterable of ImageLabels or ImageBoxes
-        The images.
-    suffix : str
-        Suffix of the format's files, with the dot.
-
-    Raises
-    ------
-    ValueError
-        If two images have the same file, an image name makes no file name, or the path is a file
-        and there is not exactly one image.
+    The path is a folder, which need not exist; or, for a single image, a file that ends in
+    `suffix`. Raises ValueError if it is a file for another number of images, two images have the
+    same file, or an image name makes no file name.
     """
     images = list(images)
     if path.suffix.lower() == suffix and not path.is_dir():
         if len(images) != 1:
-            raise ValueError(f'{path}: one file holds one image, not {len(images)}: name a folder')
+            raise ValueError(f'{path}: one file holds one image, not {len(images)}: give a folder')
         return [(path, images[0])]
     targets: dict[str, AnyImage] = {}
     for image in images:
@@ -103,10 +73,9 @@ def write_each(
     path: Path, images: Iterable[AnyImage], suffix: str, lines: Callable[[AnyImage], list[str]]
 ) -> None:
     """
-    Write one file per image, once all of them are known to be writable.
+    Write one file per image, see `target_files`, after all of them are turned into lines.
 
-    `lines` returns the lines of an image's file, and raises ValueError if the format cannot hold
-    them. For the others, and further errors, see `target_files`.
+    `lines` returns the lines for an image, and raises ValueError if the format cannot hold them.
     """
     files = [(file, lines(image)) for file, image in target_files(path, images, suffix)]
     for file, text in files:

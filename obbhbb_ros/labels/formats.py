@@ -18,14 +18,12 @@ from obbhbb_ros.labels import coco
 from obbhbb_ros.labels import csv_tables
 from obbhbb_ros.labels import dota
 from obbhbb_ros.labels import geojson
-from obbhbb_ros.labels import hrsc
 from obbhbb_ros.labels import shapefile
-from obbhbb_ros.labels import voc
+from obbhbb_ros.labels import xml_files
 from obbhbb_ros.labels import yolo
 from obbhbb_ros.labels.files import label_files
 from obbhbb_ros.labels.records import MIN_HULL_POINTS
 from obbhbb_ros.labels.records import FileError
-from obbhbb_ros.labels.records import FloatArray
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
@@ -36,15 +34,15 @@ from obbhbb_ros.labels.records import names
 from obbhbb_ros.labels.records import raise_error
 from obbhbb_ros.labels.shapes import check_coordinates
 
-# Of a suffix with several formats, blank files belong to the first.
+# Blank files are read in the first format that has their suffix.
 _ALL = (
     dota.FORMAT,
     yolo.ORIENTED,
     yolo.UPRIGHT,
     csv_tables.CORNER_TABLE,
     csv_tables.WKT_TABLE,
-    hrsc.FORMAT,
-    voc.FORMAT,
+    xml_files.HRSC,
+    xml_files.VOC,
     coco.FORMAT,
     geojson.FORMAT,
     shapefile.FORMAT,
@@ -55,14 +53,7 @@ _HEAD_BYTES = 16384
 
 
 def format_named(name: str) -> Format:
-    """
-    Return the format of a name.
-
-    Raises
-    ------
-    ValueError
-        If there is no such format; the message lists the known ones.
-    """
+    """Return the format of a name; raise ValueError, which lists the known ones, if it is none."""
     if name not in FORMATS:
         raise ValueError(f'unknown label format {name!r}: known are {names(FORMATS.values())}')
     return FORMATS[name]
@@ -70,23 +61,13 @@ def format_named(name: str) -> Format:
 
 def detect_format(path: str | os.PathLike[str]) -> str:
     """
-    Detect the format of a label file, or of the label files in a folder.
+    Detect the format of a label file, or of the label files in a folder: a key of `FORMATS`.
 
     The formats with the suffix of the file are compared with its beginning: one line that fits
     exactly one format is enough. In a folder the first file of each suffix whose format can be
-    detected counts for all of this suffix. If the content does not help, the suffix decides if only
-    one format has it; blank files count as the first format of their suffix, since in all of these
-    they are an image without boxes.
-
-    Parameters
-    ----------
-    path : path-like
-        A file or a folder.
-
-    Returns
-    -------
-    str
-        Name of one of `FORMATS`.
+    detected decides for all files of this suffix. If the content does not decide, the suffix does,
+    provided only one format has it; blank files have the first format of their suffix, since in all
+    formats they are an image without boxes.
 
     Raises
     ------
@@ -102,7 +83,7 @@ def detect_format(path: str | os.PathLike[str]) -> str:
     files = label_files(path, suffixes)
     found = _detect_by_content(files)
     if len(found) > 1:
-        raise ValueError(f'{path}: holds more than one label format: {names(found)}: name one')
+        raise ValueError(f'{path}: more than one label format: {names(found)}: give one')
     return (found[0] if found else _detect_by_suffix(path, files)).name
 
 
@@ -153,8 +134,7 @@ def read_labels(
     """
     Read the labels of a file, or of the label files directly in a folder.
 
-    Errors in the arguments are raised by the call; files are read one by one, as the iterator gets
-    to them.
+    The call raises errors in the arguments; files are read one by one during iteration.
 
     Parameters
     ----------
@@ -233,7 +213,7 @@ def write_labels(
     Write labels to a file or, in formats with one file per image, to a folder.
 
     All labels are checked and turned into text before the first file is opened, so `images` may
-    come from `read_labels` of the same path. What a format has no place for is left out.
+    come from `read_labels` of the same path. Values that the format cannot hold are left out.
 
     Parameters
     ----------
@@ -249,7 +229,7 @@ def write_labels(
     Raises
     ------
     ValueError
-        If the format is unknown, cannot be written or cannot be told from the suffix; if a number
+        If the format is unknown, cannot be written or does not follow from the suffix; if a number
         is not finite (a row of `reference` may be all NaN) or a hull has fewer than three points;
         if the format cannot hold a name or value. Nothing is written then.
     OSError
@@ -284,26 +264,8 @@ def write_boxes(
     """
     Write axis-aligned boxes to a file or, in formats with one file per image, to a folder.
 
-    All boxes are checked and turned into text before the first file is opened. Names, ids and
-    scores that a format has no place for are left out.
-
-    Parameters
-    ----------
-    path : path-like
-        File or folder, as for `write_labels`.
-    images : iterable of ImageBoxes
-        The images.
-    format : str, optional
-        Name of one of `FORMATS`; by default from the suffix of `path`.
-
-    Raises
-    ------
-    ValueError
-        If the format is unknown, cannot hold axis-aligned boxes or the diagnostics that are given,
-        or cannot be told from the suffix; if it cannot hold a name or value. Nothing is written
-        then.
-    OSError
-        If a file cannot be written.
+    Parameters and errors are those of `write_labels`; it is also an error if the format cannot
+    hold the diagnostics that are given. Names, ids and scores that it cannot hold are left out.
 
     Examples
     --------
@@ -330,30 +292,23 @@ def write_boxes(
 
 
 def box_format(path: Path, name: str | None, diagnosed: bool = False) -> Format:
-    """
-    Choose the format that `write_boxes` writes, with diagnostics if `diagnosed`.
-
-    Raises
-    ------
-    ValueError
-        As `write_boxes`.
-    """
+    """Choose the format that `write_boxes` writes, or raise its ValueError."""
     able = [each for each in FORMATS.values() if each.write_boxes is not None]
     chosen = _format_to_write(path, name, able, 'axis-aligned boxes')
     if diagnosed and not chosen.holds_diagnostics:
         able = [each for each in able if each.holds_diagnostics]
         raise ValueError(
-            f'label format {chosen.name!r} has no place for diagnostics: use {names(able)}'
+            f'label format {chosen.name!r} cannot hold diagnostics: use {names(able)}'
         )
     return chosen
 
 
 def _format_to_write(path: Path, name: str | None, able: list[Format], what: str) -> Format:
     if name is None:
-        # A suffix that two formats share belongs to the one that has it first.
+        # A suffix of two formats belongs to the one that lists it first.
         fitting = [each for each in able if _suffix(path) == each.suffixes[0]]
         if len(fitting) != 1:
-            raise ValueError(f'{path}: name the label format to write: {names(able)}')
+            raise ValueError(f'{path}: give the label format to write: {names(able)}')
         return fitting[0]
     chosen = format_named(name)
     if chosen not in able:
@@ -362,24 +317,15 @@ def _format_to_write(path: Path, name: str | None, able: list[Format], what: str
 
 
 def _check(labels: ImageLabels) -> None:
-    referenced = ~np.isnan(labels.reference).all(axis=1)
-    _check_finite(labels, 'corners', labels.corners)
-    _check_finite(labels, 'scores', labels.scores)
-    _check_finite(labels, 'reference', labels.reference[referenced])
-    for hull in labels.hulls:
-        if hull is not None:
-            _check_hull(labels, hull)
-
-
-def _check_finite(labels: ImageLabels, name: str, values: FloatArray) -> None:
-    if not np.isfinite(values).all():
-        raise ValueError(f'image {labels.image!r}: {name} has a value that is not finite')
-
-
-def _check_hull(labels: ImageLabels, hull: FloatArray) -> None:
-    try:
-        check_coordinates(hull)
-    except ValueError as error:
-        raise ValueError(f'image {labels.image!r}: hulls: {error}') from None
-    if hull.ndim != 2 or hull.shape[1] != 2 or len(hull) < MIN_HULL_POINTS:
-        raise ValueError(f'image {labels.image!r}: a hull has shape {hull.shape}')
+    reference = labels.reference[~np.isnan(labels.reference).all(axis=1)]
+    columns = {'corners': labels.corners, 'scores': labels.scores, 'reference': reference}
+    for name, values in columns.items():
+        if not np.isfinite(values).all():
+            raise ValueError(f'image {labels.image!r}: {name} has a value that is not finite')
+    for hull in (each for each in labels.hulls if each is not None):
+        try:
+            check_coordinates(hull)
+        except ValueError as error:
+            raise ValueError(f'image {labels.image!r}: hulls: {error}') from None
+        if hull.ndim != 2 or hull.shape[1] != 2 or len(hull) < MIN_HULL_POINTS:
+            raise ValueError(f'image {labels.image!r}: a hull has shape {hull.shape}')

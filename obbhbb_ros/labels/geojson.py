@@ -8,7 +8,7 @@ GeoJSON: a FeatureCollection of polygons, one ship per feature.
       {"type": "Feature", "id": 7, "properties": {"image": "P0706", "class": "ship", "score": 0.9},
        "geometry": {"type": "Polygon", "coordinates": [[[284, 466], [274, 456], [300, 427]]]}}]}
 
-Coordinates are read as pixels, whatever they are; their reference system is neither read nor
+All coordinates are read as pixels; their reference system is neither read nor
 written. Boxes are aligned with its axes, and both axes need the same unit: metres or pixels, not
 degrees. The oriented box is the minimum rotated rectangle of the polygon, or of all parts of a
 multi-polygon. Features that name no image belong to an image named after the file. Images without
@@ -46,7 +46,7 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
 
 
 def _shorten(member: dict[str, Any]) -> dict[str, Any]:
-    """Replace the coordinates of a polygon by its outer rings, as arrays: a tenth of the memory."""
+    """Replace the coordinates of a polygon by arrays of its outer rings: a tenth of the memory."""
     if member.get('type') in POLYGONS:
         try:
             member['coordinates'] = _outer_rings(member)
@@ -75,20 +75,20 @@ def _features(file: LabelFile, document: Any) -> list[Any]:
 
 
 def _released(features: list[Any]) -> Iterator[Any]:
-    """Release each feature as its record is made, so that a large file is held once."""
+    """Release each feature after use, so that a large file is in memory only once."""
     for index, feature in enumerate(features):
         features[index] = None
         yield feature
 
 
-def _record(default_image: str, feature: object) -> shapes.Outlined:
+def _record(default_image: str, feature: Any) -> shapes.Outlined:
     geometry = json_member(feature, 'geometry')
     properties = json_member(feature, 'properties') or {}
     if not isinstance(properties, dict):
         raise ValueError("'properties' is not a JSON object")
-    own_id = {} if not isinstance(feature, dict) else {'id': feature.get('id')}
     # An id among the properties is the user's own; the one beside them may be a running number.
-    return shapes.feature_record(default_image, {**own_id, **properties}, _rings(geometry))
+    fields = {'id': feature.get('id'), **properties}
+    return shapes.feature_record(default_image, fields, _rings(geometry))
 
 
 def _rings(geometry: object) -> list[FloatArray]:

@@ -31,18 +31,10 @@ _WIDER_MODES = ('I', 'I;16B', 'I;16L')
 
 def find_images(labels: Sequence[ImageLabels]) -> list[Path | None]:
     """
-    Find the image file of each of some labels.
+    Find the image file of each of some labels, None where there is none.
 
-    Parameters
-    ----------
-    labels : sequence of ImageLabels
-        Labels of N images.
-
-    Returns
-    -------
-    list of (Path or None)
-        N files: beside the label file, or in images/ where that has labels/, with the name of the
-        image, or with the stem of a label file that holds this image only.
+    It is beside the label file, or in images/ where that is in labels/, and has the name of the
+    image, or the stem of a label file that holds only this image.
     """
     images_in = Counter(each.source for each in labels)
     found = []
@@ -78,12 +70,8 @@ def stored_size(labels: Path) -> ImageSize:
 
     The image has the same stem and is beside the label file, or where Ultralytics keeps it: in
     the folder that has ``images`` instead of the last ``labels`` in the path. The size is that of
-    the image as it is shown (EXIF orientation of JPEG applied).
-
-    Raises
-    ------
-    LabelError
-        If there is no such image, it cannot be read, or Pillow is not installed.
+    the image as it is shown (EXIF orientation of JPEG applied). Raises LabelError if there is no
+    such image, it cannot be read, or Pillow is not installed.
     """
     image = _image_of(labels, labels.stem)
     if image is None:
@@ -94,14 +82,14 @@ def stored_size(labels: Path) -> ImageSize:
         message = f'reading the size of {image} needs Pillow, which is not installed'
         raise LabelError(labels, None, message) from None
     except Exception as error:
-        # As wide as that because Pillow's readers raise whatever a damaged file leads them to.
+        # Any exception: Pillow's readers raise whatever a damaged file leads them to.
         raise LabelError(labels, None, f'cannot read {image} ({error})') from error
 
 
 def _shown_size(path: Path) -> ImageSize:
     with opened_image(path) as image:
         width, height = image.size
-        # Only for JPEG: of other formats Pillow may decode the whole image to find it.
+        # Only for JPEG: for other formats Pillow may decode the whole image to find it.
         turned = image.format == 'JPEG' and image.getexif().get(EXIF_ORIENTATION) in EXIF_TURNED
     return (height, width) if turned else (width, height)
 
@@ -109,23 +97,14 @@ def _shown_size(path: Path) -> ImageSize:
 @contextmanager
 def opened_image(path: Path) -> Iterator[Any]:
     """
-    Open an image that may be as large as a satellite scene.
+    Open a PIL image, not decoded yet, that may be as large as a satellite scene.
 
-    Yields
-    ------
-    PIL.Image.Image
-        The image, not decoded yet.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If Pillow is not installed.
-    OSError, ValueError
-        If it cannot be read, or has more than `MOST_PIXELS` pixels.
+    Raises ModuleNotFoundError if Pillow is not installed; OSError or ValueError if the image cannot
+    be read or has more than `MOST_PIXELS` pixels.
     """
     from PIL import Image
 
-    # Pillow refuses what has twice as many pixels as this, and warns before.
+    # Pillow warns above this number of pixels, and refuses twice as many.
     limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MOST_PIXELS // 2
     try:
         with warnings.catch_warnings():
@@ -141,12 +120,7 @@ def opened_image(path: Path) -> Iterator[Any]:
 
 def load_image(path: Path) -> tuple[str, NDArray[Any]]:
     """
-    Read an image.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
+    Read an image; raises what `opened_image` does.
 
     Returns
     -------
@@ -155,13 +129,6 @@ def load_image(path: Path) -> tuple[str, NDArray[Any]]:
         rgb8.
     pixels : ndarray of uint8 or uint16, shape (H, W) or (H, W, C)
         As the image is shown (EXIF orientation applied).
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If Pillow is not installed.
-    OSError, ValueError
-        If the file cannot be read.
     """
     from PIL import ImageOps
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What label files are read into and written from, and what a label format has to offer."""
+"""The labels and boxes of images, label files and label formats."""
 
 from __future__ import annotations
 
@@ -35,8 +35,6 @@ class LabelError(ValueError):
     """
     A label file, or one record of it, that cannot be read.
 
-    Not a frozen dataclass, because Python itself sets attributes of an exception in flight.
-
     Attributes
     ----------
     path : Path
@@ -48,7 +46,6 @@ class LabelError(ValueError):
     """
 
     def __init__(self, path: Path, line: int | None, message: str) -> None:
-        """Keep the three parts; ``str()`` joins them as ``path:line: message``."""
         super().__init__(path, line, message)
         self.path = path
         self.line = line
@@ -68,8 +65,8 @@ OnError = Callable[[LabelError], None]
 
 
 def raise_error(error: LabelError) -> NoReturn:
-    """Raise the error: what a reader does that was given no `on_error`."""
-    # The parser's own ValueError says the same again, so it is not shown as the cause.
+    """Raise the error: the default of `on_error`."""
+    # Without the ValueError of the parser as its cause, which has the same message.
     raise error from None
 
 
@@ -77,8 +74,6 @@ def raise_error(error: LabelError) -> NoReturn:
 class ImageLabels:
     """
     The labels of one image, in the order of the file.
-
-    Compared by identity, since arrays have no single truth value.
 
     Attributes
     ----------
@@ -147,22 +142,12 @@ class ImageBoxes:
 
     Attributes
     ----------
-    image : str
-        Image name, as `ImageLabels` has it.
     xyxy : FloatArray
         x_min, y_min, x_max, y_max of N boxes, shape (N, 4), pixels.
-    class_ids : tuple of str
-        N classes.
-    ids : tuple of str
-        N instance ids, '' for none.
-    scores : FloatArray
-        Shape (N,).
-    size : tuple of int or None
-        Image width and height in pixels where known.
-    source : Path
-        The file the boxes came from.
     diagnostics : Conversion or None
         How the N boxes were computed; its `xyxy` and `valid` are not used.
+    image, class_ids, ids, scores, size, source
+        As in `ImageLabels`.
 
     Raises
     ------
@@ -202,7 +187,7 @@ class ImageBoxes:
 
 
 def _known(value: Value) -> Value:
-    # Rules that touch no curve have no t_x: NaN, which JSON does not know.
+    # Methods that touch no curve have no t_x: NaN, which JSON cannot hold.
     return None if value != value else value  # noqa: PLR0124
 
 
@@ -229,14 +214,8 @@ class LabelFile:
     """
     A label file that is being read.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    image_size : tuple of int or None
-        Width and height of every image in pixels, as the caller gave it.
-    on_error : callable
-        Gets a LabelError for each malformed record, which is left out.
+    `image_size` is width and height of every image in pixels, as the caller gave it; `on_error`
+    gets a LabelError for each malformed record, which is left out.
     """
 
     path: Path
@@ -251,10 +230,9 @@ class LabelFile:
         self, records: Iterable[tuple[int | None, str, Any]], parse: Callable[[Any], Item]
     ) -> Iterator[tuple[int | None, str, Item]]:
         """
-        Parse records one by one; a malformed one costs no other.
+        Parse records one by one, and report and skip those for which `parse` raises ValueError.
 
-        Each record comes, and goes on, with its line where known and with what to put before an
-        error message. `parse` raises ValueError if a record is malformed.
+        Records come and go with their line, where known, and the start of an error message.
         """
         for line, place, record in records:
             try:
@@ -265,7 +243,7 @@ class LabelFile:
                 yield line, place, item
 
     def image(self, name: str, boxes: Sequence[Box], size: ImageSize | None = None) -> ImageLabels:
-        """Gather the boxes of an image; `size` is the one in the file, unless one was given."""
+        """Gather the boxes of an image; `size` is used if the caller gave no `image_size`."""
         return assemble(name, boxes, self.image_size or size, self.path)
 
     def images(self, boxes: Mapping[str, Sequence[Box]]) -> Iterator[ImageLabels]:
@@ -276,45 +254,36 @@ class LabelFile:
 def assemble(
     image: str, boxes: Sequence[Box], size: ImageSize | None, source: Path
 ) -> ImageLabels:
-    """
-    Gather the N boxes of an image, in the order of the file, into arrays.
-
-    Those of an image without boxes have a leading dimension of 0. `size` is width and height in
-    pixels, `source` the file that the boxes came from.
-    """
+    """Gather the N boxes of an image into arrays of N rows, 0 included."""
     return ImageLabels(
         image=image,
-        corners=_array([box.corners for box in boxes], (-1, 4, 2)),
+        corners=np.array([box.corners for box in boxes], np.float64).reshape(-1, 4, 2),
         class_ids=tuple(box.class_id for box in boxes),
         ids=tuple(box.id for box in boxes),
-        scores=_array([box.score for box in boxes], (-1,)),
-        reference=_array([box.reference for box in boxes], (-1, 4)),
+        scores=np.array([box.score for box in boxes], np.float64),
+        reference=np.array([box.reference for box in boxes], np.float64).reshape(-1, 4),
         hulls=tuple(box.hull for box in boxes),
         size=size,
         source=source,
     )
 
 
-def _array(values: Sequence[object], shape: tuple[int, ...]) -> FloatArray:
-    return np.array(values, dtype=np.float64).reshape(shape)
-
-
 @dataclass(frozen=True)
 class Format:
     """
-    A label format, as its module offers it to the registry in `formats`.
+    A label format.
 
     Attributes
     ----------
     name : str
-        Name that users give.
+        Name on the command line.
     suffixes : tuple of str
         File suffixes, lower case with the dot.
     summary : str
         One line for help texts.
     sniff : callable
-        ``sniff(head)``: whether the beginning of a file looks like this format, and like no other
-        one with the same suffix.
+        ``sniff(head)`` returns whether the beginning of a file fits this format, and no other with
+        the same suffix.
     read : callable
         ``read(file)`` returns the images of a `LabelFile`. It passes malformed records to its
         `on_error`, and raises its `error` if the file as a whole cannot be used.

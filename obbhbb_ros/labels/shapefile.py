@@ -29,14 +29,22 @@ from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import LabelFile
 
 DRIVER = 'ESRI Shapefile'
-# Indexes of the older features, which must not stay beside new ones.
+# Indexes of the features in a file that is replaced; they would not fit the new ones.
 INDEXES = ('.qix', '.sbn', '.sbx')
 FILE_CODE = '\x00\x00\x27\x0a'
 MAX_TEXT_BYTES = 254
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
-    frame = _frame(file)
+    import geopandas
+
+    try:
+        frame = geopandas.read_file(file.path)
+    except ImportError:
+        raise
+    except Exception as error:
+        # Any exception: the two engines of GeoPandas raise errors of many kinds.
+        raise file.error(f'not a shapefile: {error}') from error
     fields = frame.drop(columns='geometry', errors='ignore').to_dict('records')
     geometries = frame.geometry if 'geometry' in frame else [None] * len(fields)
     features = (
@@ -52,27 +60,17 @@ def _record(default_image: str, feature: tuple[dict[str, Any], Any]) -> shapes.O
     return shapes.feature_record(default_image, properties, shapes.outer_rings(geometry))
 
 
-def _frame(file: LabelFile) -> Any:
-    import geopandas
-
-    try:
-        return geopandas.read_file(file.path)
-    except ImportError:
-        raise
-    except Exception as error:
-        # As wide as that because the two engines of GeoPandas raise errors of many kinds.
-        raise file.error(f'not a shapefile: {error}') from error
-
-
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
     import geopandas
 
     if path.suffix.lower() != '.shp':
         raise ValueError(f'{path}: a shapefile ends in .shp')
     properties, boxes = shapes.box_features(images)
-    _check_texts(properties)
+    for name, value in (item for fields in properties for item in fields.items()):
+        if isinstance(value, str) and len(value.encode()) > MAX_TEXT_BYTES:
+            raise ValueError(f'{name} {value!r} is too long for a shapefile')
     frame = geopandas.GeoDataFrame(_columns(properties), geometry=shapely.box(*boxes.T))
-    # A file without features needs to be given the type of geometry, which one engine can take.
+    # An empty file needs the type of geometry, which only pyogrio accepts.
     options = {'engine': 'pyogrio', 'geometry_type': 'Polygon'} if frame.empty else {}
     with replacing_all(path, INDEXES) as whole, warnings.catch_warnings():
         # The warning is about a missing reference system; there is none to write.
@@ -84,17 +82,10 @@ def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
         except ImportError:
             raise
         except Exception as error:
-            # As wide as that because the two engines of GeoPandas raise errors of many kinds.
+            # Any exception, as in `_read`.
             raise OSError(f'{path}: cannot be written: {error}') from error
         if written != len(frame):
             raise OSError(f'{path}: cannot be written: {written} of {len(frame)} boxes are there')
-
-
-def _check_texts(properties: list[dict[str, Any]]) -> None:
-    for fields in properties:
-        for name, value in fields.items():
-            if isinstance(value, str) and len(value.encode()) > MAX_TEXT_BYTES:
-                raise ValueError(f'{name} {value!r} is too long for a shapefile')
 
 
 def _columns(properties: list[dict[str, Any]]) -> dict[str, Any]:

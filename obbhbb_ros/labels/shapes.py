@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes from what formats give instead of corners: bounds, centre and angle, polygons, features."""
+"""Boxes from bounds, from centre and angle, from polygons, and as geographic features."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from obbhbb_ros.labels.text import parse_score
 
 Corners = tuple[float, float, float, float, float, float, float, float]
 
-# Names that tools use for the same property, in any case; the first one with a value counts.
+# Names of the same property in different tools, in any case; the first with a value is used.
 IMAGE = ('image', 'image_id', 'file_name', 'filename')
 CLASS = ('class', 'class_id', 'category', 'label', 'name')
 SCORE = ('score', 'confidence')
@@ -43,36 +43,23 @@ PROBLEMS = {
     Defect.EMPTY: 'the polygon has no area',
     Defect.TOO_FEW_POINTS: 'the polygon has fewer than three distinct points',
     Defect.NO_RECTANGLE: (
-        f'no rectangle can be laid around the polygon: a coordinate beyond {FARTHEST:g}, or points '
-        'too close to tell apart'
+        'the polygon has no minimum rotated rectangle: a coordinate is beyond '
+        f'{FARTHEST:g}, or its points are too close together'
     ),
 }
 
 
 def upright_corners(xyxy: Sequence[float]) -> Corners:
-    """
-    Return the corners x1 y1 … x4 y4, around the box, of x_min, y_min, x_max, y_max.
-
-    Raises
-    ------
-    ValueError
-        If a maximum is less than the minimum.
-    """
+    """Return the corners, x1 y1 … x4 y4; raise ValueError if a maximum is below the minimum."""
     x_min, y_min, x_max, y_max = xyxy
     if x_max < x_min or y_max < y_min:
-        raise ValueError(f'the box is inside out: {x_min} {y_min} to {x_max} {y_max}')
+        sides = f'{x_min} {y_min} to {x_max} {y_max}'
+        raise ValueError(f'the box has a maximum below its minimum: {sides}')
     return (x_min, y_min, x_max, y_min, x_max, y_max, x_min, y_max)
 
 
 def bounds_of_xywh(x: float, y: float, width: float, height: float) -> list[float]:
-    """
-    Turn a corner and a size into x_min, y_min, x_max, y_max.
-
-    Raises
-    ------
-    ValueError
-        If a size is negative.
-    """
+    """Turn corner and size into x_min, y_min, x_max, y_max; raise ValueError if a size is < 0."""
     _check_size(width, height)
     return [x, y, x + width, y + height]
 
@@ -82,12 +69,7 @@ def oriented_corners(x: float, y: float, width: float, height: float, angle: flo
     Return the corners x1 y1 … x4 y4 of a box with centre `x`, `y` in pixels.
 
     `width` is its extent along `angle` and `height` across it, pixels; `angle` is in radians from
-    image +x towards +y.
-
-    Raises
-    ------
-    ValueError
-        If a size is negative.
+    image +x towards +y. Raises ValueError if a size is negative.
     """
     _check_size(width, height)
     ux, uy = math.cos(angle) * width / 2, math.sin(angle) * width / 2
@@ -105,7 +87,7 @@ def _check_size(width: float, height: float) -> None:
 
 class Outlined(NamedTuple):
     """
-    A record whose box is known or, if there are rings, to be computed from them.
+    A record with a box or, if there are rings, with the polygons to compute its corners from.
 
     `image` identifies the image in the file. `rings` are the outer rings of the ship's polygons,
     each of shape (K, 2), closed or not.
@@ -120,10 +102,7 @@ def ring_of(values: object) -> FloatArray:
     """
     Turn a list of K positions into an array of shape (K, 2); numbers after x and y are ignored.
 
-    Raises
-    ------
-    ValueError
-        If it is anything else.
+    Raises ValueError if it is anything else.
     """
     try:
         ring = np.asarray(values, dtype=np.float64)
@@ -138,12 +117,7 @@ def outer_rings(geometry: Any) -> list[FloatArray]:
     """
     Return the outer ring, of shape (K, 2), of each part of a shapely Polygon or MultiPolygon.
 
-    Holes and heights are ignored.
-
-    Raises
-    ------
-    ValueError
-        If it is empty, None or another geometry.
+    Holes and heights are ignored. Raises ValueError if it is empty, None or another geometry.
     """
     if geometry is None or shapely.is_empty(geometry):
         raise ValueError('no geometry')
@@ -154,14 +128,7 @@ def outer_rings(geometry: Any) -> list[FloatArray]:
 
 
 def check_coordinates(points: FloatArray) -> None:
-    """
-    Check that polygons can be computed with.
-
-    Raises
-    ------
-    ValueError
-        If a coordinate is not finite, or so large that GEOS crashes or never ends.
-    """
+    """Raise ValueError for a coordinate not finite, or so large that GEOS crashes or never ends."""
     defect = range_defect(points)
     if defect != Defect.NONE:
         raise ValueError(PROBLEMS[defect])
@@ -173,12 +140,8 @@ def feature_record(
     """
     Make a record of a geographic feature with the outer rings of its polygons.
 
-    Properties that are not known are ignored; if they name no image, it is `default_image`.
-
-    Raises
-    ------
-    ValueError
-        If there is no ring, or the score is not a number.
+    Properties that are not known are ignored; if they name no image, it is `default_image`. Raises
+    ValueError if there is no ring, or the score is not a number.
     """
     if not rings:
         raise ValueError('the polygon is empty')
@@ -203,19 +166,19 @@ def enclose(
     file: LabelFile, records: Iterable[tuple[int | None, str, Outlined]]
 ) -> dict[str, list[Box]]:
     """
-    Lay the minimum rotated rectangle around the rings of each record.
+    Compute the minimum rotated rectangle of the rings of each record.
 
-    Several rings are one ship, partly covered: the hull is the convex hull of them all. A ring of
-    four corners is a box that somebody drew, and not a hull. If it is an upright rectangle it is
-    also the reference box, unless the record has one.
+    Several rings are one partly hidden ship: its hull is the convex hull of them all. A ring of
+    four corners is a box, and not a hull. If it is an upright rectangle it is also the reference
+    box, unless the record has one. Records whose rings have no rectangle are
+    reported and left out.
 
     Parameters
     ----------
     file : LabelFile
-        The file. Gets an error for each record whose rings have no rectangle; it is left out.
+        The file.
     records : iterable of (int or None, str, Outlined)
-        Line, what to put before an error message, and the record, as from `LabelFile.parse_each`.
-        Only a block of rings is held at a time.
+        As from `LabelFile.parse_each`. Only a block of rings is held at a time.
 
     Returns
     -------

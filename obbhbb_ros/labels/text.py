@@ -22,7 +22,7 @@ def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
     Read the lines of a UTF-8 file, with or without BOM, ended by LF, CRLF or CR.
 
     Yields line numbers, counted from 1, and lines without their ends. `on_error` gets a LabelError
-    for each line that is not UTF-8: it is left out, and costs no other.
+    for each line that is not UTF-8, and only this line is left out.
     """
     data = path.read_bytes().removeprefix(codecs.BOM_UTF8)
     for number, raw in enumerate(data.splitlines(), start=1):
@@ -53,18 +53,12 @@ def filled_lines(file: LabelFile) -> Iterator[tuple[int, str, str]]:
 
 
 def parse_numbers(fields: Iterable[str]) -> list[float]:
-    """
-    Turn fields into finite numbers.
-
-    Raises
-    ------
-    ValueError
-        If a field is not a number, is NaN or is infinite.
-    """
-    return [_number(field) for field in fields]
+    """Turn fields into finite numbers, see `parse_number`."""
+    return [parse_number(field) for field in fields]
 
 
-def _number(field: str) -> float:
+def parse_number(field: str) -> float:
+    """Turn a field into a number; raise ValueError if it is none, NaN or infinite."""
     # float() also takes Python's 1_000, which no label format knows.
     try:
         value = float('' if '_' in field else field)
@@ -76,14 +70,14 @@ def _number(field: str) -> float:
 
 
 def parse_score(field: str) -> float:
-    """Turn the field of a score into a finite number, see `parse_numbers`; 1.0 if it is empty."""
-    return _number(field) if field else 1.0
+    """Turn the field of a score into a finite number, see `parse_number`; 1.0 if it is empty."""
+    return parse_number(field) if field else 1.0
 
 
 def is_number(field: str) -> bool:
     """Return whether a field is a finite number."""
     try:
-        _number(field)
+        parse_number(field)
     except ValueError:
         return False
     return True
@@ -112,11 +106,6 @@ def write_lines(path: Path, lines: Iterable[str]) -> None:
     """
     Write lines as UTF-8 with LF ends, and make missing folders.
 
-    If writing fails, an existing file stays as it was.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    Raises OSError if that fails; an existing file then stays as it was.
     """
     write_pieces(path, (f'{line}\n' for line in lines))

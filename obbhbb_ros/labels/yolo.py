@@ -23,6 +23,7 @@ from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Mapping
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -37,7 +38,6 @@ from obbhbb_ros.labels.images import stored_size
 from obbhbb_ros.labels.records import AnyImage
 from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import FileError
-from obbhbb_ros.labels.records import FloatArray
 from obbhbb_ros.labels.records import Format
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
@@ -53,19 +53,8 @@ CORNER_FIELDS = 'class x1 y1 x2 y2 x3 y3 x4 y4 [confidence [track]]'
 Parse = Callable[[str, Sequence[str]], Box]
 
 
-def _parse_upright(line: str, names: Sequence[str]) -> Box:
-    box = _parse(line, names, 4, UPRIGHT_FIELDS)
-    x, y, width, height = box.corners
-    reference = shapes.bounds_of_xywh(x - width / 2, y - height / 2, width, height)
-    return box._replace(corners=shapes.upright_corners(reference), reference=reference)
-
-
-def _parse_corners(line: str, names: Sequence[str]) -> Box:
-    return _parse(line, names, 8, CORNER_FIELDS)
-
-
 def _parse(line: str, names: Sequence[str], count: int, expected: str) -> Box:
-    """Parse a line with `count` coordinates, which are returned as corners."""
+    """Parse a line; the `count` coordinates are returned as corners."""
     fields = line.split()
     if not count < len(fields) <= count + 3:
         raise ValueError(f'{len(fields)} fields, expected {count + 1} to {count + 3}: {expected}')
@@ -77,6 +66,17 @@ def _parse(line: str, names: Sequence[str], count: int, expected: str) -> Box:
     if not 0.0 <= score <= 1.0:
         raise ValueError(f'confidence {confidence} is not within 0..1')
     return Box(coordinates, _parse_class(fields[0], names), track, score)
+
+
+def _parse_corners(line: str, names: Sequence[str]) -> Box:
+    return _parse(line, names, 8, CORNER_FIELDS)
+
+
+def _parse_upright(line: str, names: Sequence[str]) -> Box:
+    box = _parse(line, names, 4, UPRIGHT_FIELDS)
+    x, y, width, height = box.corners
+    reference = shapes.bounds_of_xywh(x - width / 2, y - height / 2, width, height)
+    return box._replace(corners=shapes.upright_corners(reference), reference=reference)
 
 
 def _parse_class(field: str, names: Sequence[str]) -> str:
@@ -107,9 +107,9 @@ def _stored_size(file: LabelFile, needed: bool) -> ImageSize | None:
     try:
         return stored_size(file.path)
     except LabelError as error:
-        if needed:
-            raise file.error(f'{error.message}: pass image_size=(width, height)') from None
-        return None
+        if not needed:
+            return None
+        raise file.error(f'{error.message}: pass image_size=(width, height)') from None
 
 
 def _class_names(folder: Path) -> list[str]:
@@ -120,39 +120,13 @@ def _class_names(folder: Path) -> list[str]:
     return [line.strip() for _, line in text.text_lines(path, raise_error)]
 
 
-def _write(path: Path, images: list[ImageLabels]) -> None:
-    _write_images(path, images, _corner_fractions)
-
-
-def _corner_fractions(labels: ImageLabels) -> FloatArray:
-    return labels.corners.reshape(-1, 8) / _repeated_size(labels, 4)
-
-
-def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
-    _write_images(path, images, _upright_fractions)
-
-
-def _upright_fractions(image: ImageBoxes) -> FloatArray:
-    low, high = image.xyxy[:, :2], image.xyxy[:, 2:]
-    return np.hstack(((low + high) / 2, high - low)) / _repeated_size(image, 2)
-
-
-def _repeated_size(image: ImageLabels | ImageBoxes, times: int) -> FloatArray:
-    """Give the image size as often as there are pairs of coordinates."""
-    if image.class_ids and image.size is None:
-        raise ValueError(f'image {image.image!r}: its size is not known, YOLO needs it')
-    return np.tile(np.array(image.size or (1, 1), dtype=np.float64), times)
-
-
-def _write_images(
-    path: Path, images: list[AnyImage], fractions: Callable[[AnyImage], FloatArray]
-) -> None:
-    """Write one file per image, once all of them are known to be writable."""
+def _write(path: Path, images: list[AnyImage]) -> None:
+    """Write one file per image, after all of them are turned into lines."""
     targets = target_files(path, images, '.txt')
     folder = path if not targets else targets[0][0].parent
     names = _numbered_names(folder, [name for image in images for name in image.class_ids])
     numbers = {name: str(index) for index, name in enumerate(names)}
-    files = [(file, _lines(image, numbers, fractions(image))) for file, image in targets]
+    files = [(file, _lines(image, numbers)) for file, image in targets]
     if names:
         text.write_lines(folder / CLASSES_FILE, names)
     for file, lines in files:
@@ -160,7 +134,7 @@ def _write_images(
 
 
 def _numbered_names(folder: Path, used: Iterable[str]) -> list[str]:
-    """List the names for ``classes.txt``, those already in it first; none for plain indices."""
+    """List the names for ``classes.txt``, those already in it first; none if all are indices."""
     distinct = list(dict.fromkeys(used))
     if all(text.is_index(name) and name == str(int(name)) for name in distinct):
         return []
@@ -171,9 +145,15 @@ def _numbered_names(folder: Path, used: Iterable[str]) -> list[str]:
     return known + [name for name in distinct if name not in known]
 
 
-def _lines(
-    image: ImageLabels | ImageBoxes, numbers: Mapping[str, str], boxes: FloatArray
-) -> list[str]:
+def _lines(image: ImageLabels | ImageBoxes, numbers: Mapping[str, str]) -> list[str]:
+    if image.class_ids and image.size is None:
+        raise ValueError(f'image {image.image!r}: its size is not known, YOLO needs it')
+    if isinstance(image, ImageLabels):
+        boxes = image.corners.reshape(-1, 8)
+    else:
+        low, high = image.xyxy[:, :2], image.xyxy[:, 2:]
+        boxes = np.hstack(((low + high) / 2, high - low))
+    boxes = boxes / np.tile(np.array(image.size or (1, 1), np.float64), boxes.shape[1] // 2)
     if not text.is_normalised(boxes.flat):
         raise ValueError(f'image {image.image!r}: a box lies far outside its size {image.size}')
     if np.any((image.scores < 0.0) | (image.scores > 1.0)):
@@ -185,15 +165,11 @@ def _lines(
 
 
 def _fits(parse: Parse, head: str) -> bool:
-    return any(_is_box(parse, line) for line in head.splitlines())
-
-
-def _is_box(parse: Parse, line: str) -> bool:
-    try:
-        parse(line, ())
-    except ValueError:
-        return False
-    return True
+    for line in head.splitlines():
+        with suppress(ValueError):
+            parse(line, ())
+            return True
+    return False
 
 
 UPRIGHT = Format(
@@ -204,7 +180,7 @@ UPRIGHT = Format(
     ),
     sniff=partial(_fits, _parse_upright),
     read=partial(_read, _parse_upright),
-    write_boxes=_write_boxes,
+    write_boxes=_write,
 )
 ORIENTED = Format(
     name='yolo_obb',

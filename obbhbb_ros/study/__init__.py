@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The offline half: hulls, metrics, evaluation, calibration, plots. No ROS here."""
+"""Offline study without ROS: hulls, metrics, evaluation, calibration, plots."""

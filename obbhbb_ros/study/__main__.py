@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m obbhbb_ros.study [PICTURE]`: the paper's Table 1 beside ours, the synthetic hulls."""
+"""`python -m obbhbb_ros.study [PICTURE]`: the paper's Table 1 and ours; the synthetic hulls."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from obbhbb_ros.study.tables import comparison_table
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Print the comparison; draw the hulls if a picture file is named."""
+    """Print the comparison, and draw the hulls to each picture file that is given."""
     found = paper_comparison()
     print(comparison_table(found))
     for row, rule in PAPER_ROWS.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibrate a rule on labelled ships: for the best IoU, the most matches, or sure coverage."""
+"""Calibrate a rule on labelled ships: for best IoU, most matches, or guaranteed coverage."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SHARES = 5
 
 @dataclass(frozen=True)
 class Objective:
-    """What to optimise, and the figure of `evaluation.figures` that gains by it, times `sign`."""
+    """What to optimise: a figure of `evaluation.figures`, which is to grow if `sign` is 1."""
 
     summary: str
     figure: str
@@ -37,7 +37,7 @@ OBJECTIVES: MappingProxyType[str, Objective] = MappingProxyType({
         figure='match',
     ),
     'coverage': Objective(
-        summary='the smallest mean area that keeps enough of enough ships',
+        summary='the smallest mean area that covers the required share of ships',
         figure='area', sign=-1.0,
     ),
 })
@@ -59,11 +59,11 @@ class Plan:
     refine : bool
         Whether to refine the best setting of the grid continuously.
     keep : float
-        `coverage`: share of its reference box that a ship has to keep, in (0, 1].
+        `coverage`: share of the reference box that a box must contain, in (0, 1].
     share : float
-        `coverage`: share of ships that have to keep it, in (0, 1).
+        `coverage`: share of ships whose box must contain that much, in (0, 1).
     per_image : int
-        `coverage`: most ships in one image, see `conformal_rank`; 1 if the ships themselves are
+        `coverage`: maximum number of ships per image, see `conformal_rank`; 1 if the ships are
         exchangeable.
     seed : int
         `coverage`: seed of the split into a half for q and f and a half for s.
@@ -167,10 +167,10 @@ def _covering_rule(ships: Ships, plan: Plan) -> HullRule:
 
 def _covering_shape(bench: Bench, plan: Plan) -> tuple[float, float]:
     """
-    Choose q and f so that the boxes that cover enough ships are smallest, (q, f).
+    Choose q and f for the smallest boxes that cover enough ships.
 
     The area is averaged over shares around the required one: with a single quantile, which depends
-    on some dozen ships, chance would choose the shape.
+    on a few dozen ships, chance would choose the shape.
     """
     around = min(_AROUND, 0.6 * (1.0 - plan.share))
     shares = np.linspace(plan.share - around, plan.share + around, _SHARES)
@@ -191,7 +191,7 @@ def _covering_shape(bench: Bench, plan: Plan) -> tuple[float, float]:
 
 def conformal_rank(count: int, share: float, per_image: int = 1) -> int:
     """
-    Compute which of the calibration ships' needed scales, sorted, guarantees a share of new ships.
+    Compute the rank of the calibration ship whose needed scale guarantees a share of new ships.
 
     With `per_image` 1 this is split conformal prediction, rank ``ceil((n + 1) share)``: if the n
     calibration ships and a new one are exchangeable, the new one keeps enough with a probability
@@ -213,7 +213,7 @@ def conformal_rank(count: int, share: float, per_image: int = 1) -> int:
     count : int
         n, the calibration ships.
     share : float
-        Share of new ships that shall keep enough, in (0, 1).
+        Share of new ships that have to keep enough, in (0, 1).
     per_image : int
         M.
 
@@ -250,21 +250,16 @@ def split(ships: Ships, seed: int = 0) -> tuple[Ships, Ships]:
 
 def folds_of(ships: Ships, folds: int, seed: int = 0) -> NDArray[np.intp]:
     """
-    Assign images to folds, so that no image lies in two.
+    Find the fold of each of N ships, (N,), so that no image lies in two folds.
 
-    Returns
-    -------
-    ndarray of int, shape (N,)
-        Fold of each ship.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two folds, or fewer images than folds.
+    Raises ValueError if there are fewer than two folds, or fewer images than folds.
     """
     images = ships.image_count
     if not 2 <= folds <= images:
-        raise ValueError(f'{images} images cannot be dealt out to {folds} folds; 2 to {images} can')
+        raise ValueError(
+            f'{images} images cannot be split into {folds} folds: give 2 or more, at most one per '
+            'image'
+        )
     order = np.random.default_rng(seed).permutation(images)
     return np.asarray(order[ships.image_of] % folds)
 

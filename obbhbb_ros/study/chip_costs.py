@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What a tight box saves on the downlink: pixels and encoded bytes of each method's chips.
+What tight boxes save on the downlink: pixels and encoded bytes of the chips of each method.
 
-The synthetic picture shows the harbour that the package carries; no pixel of it is real. Encoding
-needs Pillow, the extra `chips`.
+The synthetic picture shows the harbour in the package; none of its pixels are real. Encoding needs
+Pillow, the extra `chips`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.study.rules import DEFAULT_RULES
 
 RULES = {name: DEFAULT_RULES[name] for name in ('outer', 'shape_aware', 'superellipse')}
-# The quality of JPEG 2000 is percent of the size of the bare pixels.
+# The quality of JPEG 2000 is a percentage of the uncompressed size.
 ENCODERS = {
     name: chips.CodecSettings(name, quality=20 if name == 'jpeg2000' else 80)
     for name in chips.CODECS
@@ -40,7 +40,7 @@ class Cost:
     """
     Cost of the chips of a method: their number, their pixels, and their bytes by codec.
 
-    `hull` is the area of the known hulls, `hull_lost` that of their parts outside the chip of their
+    `hull` is the area of the known hulls, `hull_lost` that of their parts outside the chip of the
     ship; square pixels.
     """
 
@@ -92,7 +92,7 @@ def _add(cost: Cost, labels: ImageLabels, pixels: NDArray[Any], plan: crops.Crop
 
 def render(labels: ImageLabels) -> NDArray[np.uint8]:
     """
-    Paint a synthetic picture of labelled hulls: grey ships with decks and noise on a noisy sea.
+    Draw a synthetic picture of labelled hulls: grey ships with decks and noise on a noisy sea.
 
     The picture, uint8 of shape (H, W, 3), is the same every time. Raises ValueError if the size of
     the image is not known.
@@ -120,7 +120,7 @@ def render(labels: ImageLabels) -> NDArray[np.uint8]:
 
 
 def _sea(random: np.random.Generator, width: int, height: int) -> NDArray[np.uint8]:
-    """Paint waves: noise of several sizes."""
+    """Draw waves: noise of several sizes."""
     total = np.zeros((height, width))
     for step in (64, 16, 4):
         coarse = random.normal(0.0, 5.0, (height // step + 2, width // step + 2))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibration is worth: its rules, measured on images that they were not fitted to."""
+"""Cross-validation of a calibration: its rules, measured on images they were not fitted to."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ CALIBRATED = 'calibrated'
 BY_CLASS = 'by class'
 _BANDS = 3
 
-# Gets the ships to calibrate on and the ships to sort; returns the group of each of the latter,
-# negative for the rule of all.
+# Takes the ships to calibrate on and the ships to sort; returns the group of each of the latter,
+# negative for those in no group.
 Grouping: TypeAlias = Callable[[Ships, Ships], NDArray[np.intp]]
 
 
 def no_groups(known: Ships, ships: Ships) -> NDArray[np.intp]:
-    """Leave all ships to the rule of all."""
+    """Put no ship into a group."""
     return np.full(len(ships), -1)
 
 
@@ -46,11 +46,8 @@ def aspect_groups(known: Ships, ships: Ships) -> NDArray[np.intp]:
 
 
 def class_groups(names: list[str], known: Ships, ships: Ships) -> NDArray[np.intp]:
-    """Sort ships into some classes; the others are in no group."""
-    found = np.full(len(ships), -1, dtype=np.intp)
-    for index, name in enumerate(names):
-        found[ships.class_ids == name] = index
-    return found
+    """Sort ships by class, for some classes."""
+    return ships.class_index(names)
 
 
 def _aspect_edges(ships: Ships) -> FloatArray:
@@ -78,8 +75,8 @@ class Gain:
         return self.low > 0.0
 
     def __str__(self) -> str:
-        """Say it in one line."""
-        verdict = 'earns its place' if self.earned else 'does not earn its place'
+        """Return the gain in one line."""
+        verdict = 'better than one rule' if self.earned else 'not clearly better than one rule'
         interval = f'{self.low:+.4f} to {self.high:+.4f}'
         return f'{self.name}: {verdict}, gain {self.mean:+.4f} ({interval})'
 
@@ -105,7 +102,7 @@ class Outcome:
         `obbhbb_ros.study.evaluation.figures` of each way to convert, calibrated on other images.
         Empty without folds.
     gains : list of Gain
-        Gains of classes and bands over one rule.
+        Gains of rules by class and by band over one rule.
     notes : list of str
         Other remarks.
     """
@@ -120,7 +117,7 @@ class Outcome:
     notes: list[str] = field(default_factory=list)
 
     def interval(self, name: str) -> evaluation.Interval:
-        """Bound the mean IoU of one way to convert."""
+        """Compute the 95 % interval of the mean IoU of one way to convert."""
         return evaluation.bootstrap_intervals([self.held_out[name]['iou']], self.ships.image_of)[0]
 
 
@@ -150,11 +147,6 @@ def run(
     seed : int
         Seed of the folds.
 
-    Returns
-    -------
-    Outcome
-        Rules and figures.
-
     Raises
     ------
     ValueError
@@ -169,14 +161,14 @@ def run(
     0.99
     """
     if (per_class or by_aspect) and not folds:
-        raise ValueError('rules by class or aspect ratio are judged on held-out images: give folds')
+        raise ValueError('rules by class or aspect ratio need held-out images: give folds')
     outcome = Outcome(plan, ships, calibrate(ships, plan))
     if not folds:
         return outcome
     fold = folds_of(ships, folds, seed)
     if not all(enough(ships.take(fold != index), plan, least=1) for index in range(folds)):
         outcome.notes.append(
-            f'No held-out figures: without one of {folds} folds the ships are too few for a '
+            f'No held-out figures: without one of {folds} folds there are too few ships for a '
             f'share of {plan.share:g}.'
         )
         return outcome
@@ -208,21 +200,9 @@ def held_out_boxes(
     ships: Ships, plan: Plan, folds: int = 5, seed: int = 0, grouping: Grouping = no_groups
 ) -> FloatArray:
     """
-    Convert each ship by rules that were calibrated on other images.
+    Convert each of N ships by rules that were calibrated on other images; boxes, (N, 4), pixels.
 
-    Parameters
-    ----------
-    ships : Ships
-        N ships with reference boxes.
-    plan, folds, seed
-        As for `run`.
-    grouping : callable
-        Sorts ships into groups; a group that is large enough gets a rule of its own.
-
-    Returns
-    -------
-    ndarray, shape (N, 4)
-        Boxes, pixels.
+    A group that `grouping` makes gets a rule of its own if it is large enough.
     """
     fold = folds_of(ships, folds, seed)
     xyxy = np.empty((len(ships), 4))
@@ -231,33 +211,38 @@ def held_out_boxes(
         boxes = convert_by_rule(new.boxes, calibrate(known, plan))
         of_known, of_new = grouping(known, known), grouping(known, new)
         for group in np.unique(of_new[of_new >= 0]):
-            rows, mine = of_known == group, of_new == group
-            if rows.any() and enough(known.take(rows), plan):
-                rule = calibrate(known.take(rows), plan)
+            mine = of_new == group
+            if rule := _own_rule(known, of_known == group, plan):
                 boxes[mine] = convert_by_rule(new.boxes.take(mine), rule)
         xyxy[fold == index] = boxes
     return xyxy
+
+
+def _own_rule(ships: Ships, rows: NDArray[np.bool_], plan: Plan) -> HullRule | None:
+    """Calibrate on some of the ships, if they are enough."""
+    group = ships.take(rows) if rows.any() else None
+    return calibrate(group, plan) if group and enough(group, plan) else None
 
 
 def _aspect_rules(ships: Ships, plan: Plan) -> list[tuple[float, float, HullRule]]:
     """Calibrate each band of aspect ratio on all its ships."""
     rules = []
     for low, high in pairwise([1.0, *_aspect_edges(ships).tolist(), np.inf]):
-        rows = (ships.aspect >= low) & (ships.aspect < high)
-        if rows.any() and enough(ships.take(rows), plan):
-            rules.append((low, high, calibrate(ships.take(rows), plan)))
+        if rule := _own_rule(ships, (ships.aspect >= low) & (ships.aspect < high), plan):
+            rules.append((low, high, rule))
     return rules
 
 
 def _large_classes(outcome: Outcome) -> list[str]:
-    """List the classes that are large enough for a rule; note it if there is nothing to try."""
+    """List the classes that are large enough for a rule; add a note if there are none to try."""
     ships = outcome.ships
     names = [str(name) for name in np.unique(ships.class_ids) if str(name)]
     large = [name for name in names if enough(ships.take(ships.class_ids == name), outcome.plan)]
     if len(names) >= 2 and large:
         return large
     outcome.notes.append(
-        f'per class: nothing to do, {len(names)} classes, {len(large)} of them large enough'
+        f'per class: nothing to do: needs two or more classes (here {len(names)}), at least one of '
+        f'them large enough for a rule (here {len(large)})'
     )
     return []
 

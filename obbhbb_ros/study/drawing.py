@@ -65,7 +65,7 @@ _STYLE = {
 
 
 def color_of(method: str) -> str:
-    """Return the colour of a method, black for one that has none yet."""
+    """Return the colour of a method, black if it has none yet."""
     return COLORS.get(method, 'black')
 
 
@@ -98,7 +98,7 @@ def _panels(count: int, height: float, **options: Any) -> tuple[Figure, Any]:
 
 
 def _add_legend_below(figure: Figure, share: float, handles: Sequence[Any], **options: Any) -> None:
-    """Put a legend under the panels; 'outside' places are not known to matplotlib 3.6."""
+    """Put a legend under the panels; matplotlib 3.6 has no 'outside' locations."""
     figure.set_layout_engine('constrained', rect=(0.0, share, 1.0, 1.0 - share))
     figure.legend(handles=handles, loc='lower center', **options)
 
@@ -127,7 +127,7 @@ def angle_figure(scores: Sequence[evaluation.Score]) -> Figure:
 
 
 def _draw_bands(axes: Any, by_stratum: Mapping[str, Mapping[str, evaluation.Score]]) -> None:
-    """Draw one protocol."""
+    """Draw mean IoU over the bands of tilt."""
     bands = list(evaluation.TILT_BANDS)
     for index, method in enumerate(next(iter(by_stratum.values()))):
         found = {x: by_stratum[band][method] for x, band in enumerate(bands) if band in by_stratum}
@@ -147,7 +147,7 @@ def _draw_bands(axes: Any, by_stratum: Mapping[str, Mapping[str, evaluation.Scor
 
 @_styled()
 def surface_figure(surfaces: Mapping[str, Surface]) -> Figure:
-    """Draw mean IoU over q and f, each at its best s; the best setting of each panel is framed."""
+    """Draw mean IoU over q and f, each at its best s, with a frame around the best setting."""
     figure, panels = _panels(len(surfaces), 3.9)
     best_s = {title: surface.mean_iou.max(axis=2) for title, surface in surfaces.items()}
     limits = min(v.min() for v in best_s.values()), max(v.max() for v in best_s.values())
@@ -178,7 +178,7 @@ def _draw_surface(axes: Any, values: FloatArray, limits: tuple[float, float]) ->
 
 @_styled()
 def error_figure(errors: Mapping[str, Mapping[str, FloatArray]]) -> Figure:
-    """Draw the best relative errors by method and family, one for each level of `FULLNESS`."""
+    """Draw the lowest relative errors by method and family, one for each level of `FULLNESS`."""
     figure, panels = _panels(len(errors), 3.4, sharey=True)
     for axes, (method, families) in zip(panels, errors.items(), strict=True):
         for index, (full, shade) in enumerate(zip(FULLNESS, _SHADES, strict=True)):
@@ -195,7 +195,7 @@ def error_figure(errors: Mapping[str, Mapping[str, FloatArray]]) -> Figure:
 def sensitivity_figure(
     fullness: FloatArray, curves: Mapping[str, Mapping[str, FloatArray]]
 ) -> Figure:
-    """Draw mean IoU over K values of f, by panel and line, (K,), and mark the best f of each."""
+    """Draw mean IoU over K values of f, (K,) for each panel and line, and mark the best f."""
     figure, panels = _panels(len(curves), 3.8)
     for axes, (title, lines) in zip(panels, curves.items(), strict=True):
         for color, (name, values) in zip(_LINES, lines.items(), strict=False):
@@ -230,7 +230,7 @@ def hull_panel() -> Figure:
 
 
 def scene_figure(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> Figure:
-    """Draw N ships of an image with the boxes, (N, 4), of each method: all, and some close-ups."""
+    """Draw the N ships of an image and the boxes, (N, 4), of each method, with some close-ups."""
     figure = Figure(figsize=(17.0, 7.6), layout='constrained')
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1.0))
     whole, details = halves
@@ -270,7 +270,7 @@ def _draw_ships(
     axes: Any, labels: ImageLabels, boxes: Mapping[str, FloatArray], rows: Iterable[int]
 ) -> None:
     """Draw hulls, oriented boxes and axis-aligned boxes of some rows."""
-    # Each line is thinner than the one before, so that boxes that agree are all seen.
+    # Each line is thinner than the one below it, so that equal boxes are all visible.
     widths = np.linspace(0.5 * len(boxes), 1.0, len(boxes))
     axes.set_facecolor(_SEA)
     axes.set_aspect('equal')

@@ -28,14 +28,14 @@ from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.ships import Ships
 
 ALL = 'all'
-# A ship belongs to a band from its lower end to below its upper one; tilt is 45° at most.
+# A band includes its lower end and excludes its upper end; tilt is 45° at most.
 TILT_BANDS = {'tilt 0-15°': (0.0, 15.0), 'tilt 15-30°': (15.0, 30.0), 'tilt 30-45°': (30.0, np.inf)}
 ASPECT_BANDS = {
     'L/W 1-3': (1.0, 3.0), 'L/W 3-5': (3.0, 5.0), 'L/W 5-7': (5.0, 7.0), 'L/W >= 7': (7.0, np.inf)
 }
 TILTED = 10.0
 _TAIL = (1.0 - 0.95) / 2.0
-# Draws at a time, to limit the memory for many images.
+# Number of draws at once, to limit the memory for many images.
 _BATCH = 50
 
 
@@ -99,9 +99,9 @@ class Settings:
     Attributes
     ----------
     threshold : float
-        IoU from which a box matches, in (0, 1].
+        Lowest IoU of a match, in (0, 1].
     keep : float
-        Share of the reference that a box has to keep, in (0, 1].
+        Share of the reference that a box must contain, in (0, 1].
     bootstrap, seed : int
         Bootstrap samples for the confidence intervals, 0 for none, and their seed.
 
@@ -139,10 +139,7 @@ def strata(ships: Ships) -> dict[str, NDArray[np.bool_]]:
     """
     Sort ships into bands of tilt and aspect ratio, and by class if there are several classes.
 
-    Returns
-    -------
-    dict of str to ndarray of bool, shape (N,)
-        Members of each stratum that has any.
+    The members of each stratum that has any are marked in an array of shape (N,).
     """
     found = {
         ALL: np.ones(len(ships), dtype=bool),
@@ -186,7 +183,7 @@ def evaluate(
     Returns
     -------
     list of Score
-        By protocol, then by stratum, then by rule.
+        Ordered by protocol, then by stratum, then by rule.
 
     Raises
     ------
@@ -242,19 +239,9 @@ def overlap(ships: Ships, xyxy: FloatArray, protocol: str) -> metrics.Overlap:
 
 def ships_for(ships: Ships, protocol: str) -> Ships:
     """
-    Select the ships that a protocol can score.
+    Select the ships that a protocol can score: `obb` all, `hbb` those with a reference box.
 
-    Parameters
-    ----------
-    ships : Ships
-        Ships.
-    protocol : str
-        `obb` for all, `hbb` for those with a reference box.
-
-    Raises
-    ------
-    ValueError
-        If the protocol is unknown, or there is no such ship.
+    Raises ValueError if the protocol is unknown, or there is no such ship.
     """
     if protocol not in metrics.PROTOCOLS:
         known = ', '.join(metrics.PROTOCOLS)
@@ -271,14 +258,7 @@ def ships_for(ships: Ships, protocol: str) -> Ships:
 def figures(
     ships: Ships, xyxy: FloatArray, protocol: str, settings: Settings = DEFAULT_SETTINGS
 ) -> dict[str, FloatArray]:
-    """
-    Compute all figures of N ships and their boxes, (N, 4), under a protocol.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (N,)
-        The figures under the names that their means have in `Score`.
-    """
+    """Compute all figures of N ships and their boxes, (N, 4), named as their means in `Score`."""
     found = overlap(ships, xyxy, protocol)
     return {
         'iou': found.iou,
@@ -297,7 +277,7 @@ def bootstrap_intervals(
     values: Sequence[FloatArray], images: NDArray[np.intp], samples: int = 1000, seed: int = 0
 ) -> list[Interval]:
     """
-    Bound means over the same ships by drawing whole images with replacement.
+    Compute 95 % intervals of means over the same ships, by drawing whole images with replacement.
 
     Ships in one image resemble each other; drawing single ships would make the intervals too
     narrow. The draws are the same for all means.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The paper's grid search for q, f and s (Algorithm 2), and the climb that refines its result.
+The paper's grid search for q, f and s (Algorithm 2), and the search that refines its result.
 
-`Bench` arranges ships so that a setting costs little: the reach of the hulls is computed once for
-all settings, and the shrink factor only scales it.
+`Bench` prepares ships so that a setting costs little: the half-extents are computed once per q and
+f, and the shrink factor only scales them.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ GRIDS: MappingProxyType[str, Grid] = MappingProxyType({
         f=(0.7, 0.8, 0.9, 1.0, 1.1),
         s=(0.95, 1.0, 1.05, 1.1),
     ),
-    # Real ships turned out to lie beyond it.
+    # The best settings for real ships lie outside the paper's search space.
     'wide': Grid(
         q=(1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 7.0),
         f=(0.8, 0.9, 1.0, 1.1, 1.2),
@@ -60,7 +60,7 @@ GRIDS: MappingProxyType[str, Grid] = MappingProxyType({
 
 
 def tunable(name: str) -> Method:
-    """Look up a method that has q, f and s; another one raises ValueError."""
+    """Return a method that has q, f and s; raise ValueError if it has none."""
     method = get_method(name)
     if not method.tunable:
         raise ValueError(f'{name} has no parameters to calibrate')
@@ -69,19 +69,9 @@ def tunable(name: str) -> Method:
 
 class Bench:
     """
-    Ships arranged for trying many settings of one method.
+    N ships with reference boxes, prepared for trying many settings of one method.
 
-    Parameters
-    ----------
-    ships : Ships
-        N ships with reference boxes.
-    method : str
-        A tunable method.
-
-    Raises
-    ------
-    ValueError
-        If a ship has no reference box, or the method has no parameters.
+    Raises ValueError if a ship has no reference box, or the method has no parameters.
     """
 
     def __init__(self, ships: Ships, method: str = 'superellipse') -> None:
@@ -136,14 +126,9 @@ class Bench:
 @dataclass(frozen=True, eq=False)
 class Surface:
     """
-    Result of a grid search.
+    Result of a grid search: figures of each setting, shape (Q, F, S).
 
-    Attributes
-    ----------
-    grid : Grid
-        The settings.
-    mean_iou, match50, relative_error : ndarray, shape (Q, F, S)
-        Mean IoU, share of ships with IoU of 0.5 or more, mean relative error (Eq. relerr).
+    Mean IoU, share of ships with an IoU of 0.5 or more, mean relative error (Eq. relerr).
     """
 
     grid: Grid
@@ -207,7 +192,7 @@ def refine(point: Point, value: Callable[[Point], tuple[float, ...]]) -> Point:
     Climb from a setting, one coordinate at a time with halving steps (compass search).
 
     It needs no derivative, which medians and shares do not have, and never ends below its start.
-    `value` is to grow; its tuples are compared from the front.
+    `value` is maximised; its tuples are compared from the front.
     """
     best = value(point)
     step = _FIRST_STEP

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The synthetic harbour that the package carries.
+The synthetic harbour in the package.
 
-`python -m obbhbb_ros.study.harbour FILE` writes it; a test compares the carried file with it. No
-pixel of it is real: ships of random size lie at anchor or side by side at piers, and their hulls
-are one outline stretched to each ship.
+`python -m obbhbb_ros.study.harbour FILE` writes it; a test compares the file in the package with
+it. Ships of random size lie at anchor or side by side at piers, and their hulls are one outline
+scaled to each ship.
 """
 
 from __future__ import annotations

@@ -3,12 +3,12 @@
 Synthetic hulls: the paper's four families at its four levels of fullness.
 
 The paper names the families and prints a table of their mean relative errors; it does not publish
-the polygons, so they are rebuilt here. Chosen by looking at that table: a hull touches its
-oriented box at bow, stern and amidships at every fullness, and the fullness narrows its ends
-(narrowing the whole hull instead misses the rows below 1.00 by three times as much); aspect ratios
-run from 3 to 7, angles evenly over a quarter turn. Fitted: one number per family, the width of its
-ends, so that it gives the row "N" at fullness 1.00 (`obbhbb_ros.study.paper_table.fit_ends`).
-Everything else that the hulls give is a prediction; `paper_comparison` compares it with the paper.
+the polygons, so they are rebuilt here. Chosen to fit that table: a hull touches its oriented box
+at bow, stern and amidships at every fullness, and the fullness narrows its ends (narrowing the
+whole hull instead misses the rows below 1.00 by three times as much); aspect ratios run from 3 to
+7, angles evenly over a quarter turn. Fitted: one number per family, the width of its ends, so that
+it gives the row "N" at fullness 1.00 (`obbhbb_ros.study.paper_table.fit_ends`). Everything else is
+a prediction; `paper_comparison` compares it with the paper.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Family:
         return np.concatenate((side.T, side.T[::-1] * [1.0, -1.0]))
 
 
-# The ends are what `fit_ends` gives; a test holds them equal.
+# The ends are the results of `fit_ends`; a test compares them.
 FAMILIES: MappingProxyType[str, Family] = MappingProxyType({
     family.name: family
     for family in (
@@ -125,7 +125,8 @@ def synthetic_ships(
     count = sorts * aspects * angles
     center = np.stack((np.arange(count) * _SPACING, np.zeros(count)))
     aspect = np.tile(np.repeat(ratios, angles), sorts)
-    theta = _angles(angles, count, seed)
+    offset = 0.5 if seed is None else np.random.default_rng(seed).uniform(size=count)
+    theta = (np.arange(count) % angles + offset) / angles * (np.pi / 2.0)
     long_axis = np.stack((np.cos(theta), np.sin(theta))) * (LENGTH / 2.0)
     short_axis = np.stack((-np.sin(theta), np.cos(theta))) * (LENGTH / 2.0 / aspect)
     names, outlines = [], []
@@ -145,9 +146,3 @@ def synthetic_ships(
         ),
         hulls=tuple(hulls),
     )
-
-
-def _angles(angles: int, count: int, seed: int | None) -> FloatArray:
-    """Spread angles over a quarter turn, again and again, radians, (count,)."""
-    offset = 0.5 if seed is None else np.random.default_rng(seed).uniform(size=count)
-    return (np.arange(count) % angles + offset) / angles * (np.pi / 2.0)

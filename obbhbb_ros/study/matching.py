@@ -26,9 +26,8 @@ class Matching:
     """
     All oriented boxes, in their order, with the reference boxes found for them.
 
-    Rows of `reference` in `images` are NaN where none was found. `matched` is the number of those
-    found. Of what was not matched there are image and row of the oriented boxes, and image and
-    xyxy, pixels, of the reference boxes.
+    Rows of `reference` in `images` are NaN where none was found; `matched` is the number found.
+    Unmatched oriented boxes are given by image and row, unmatched references by image and xyxy.
     """
 
     images: tuple[ImageLabels, ...]
@@ -44,9 +43,9 @@ def match_references(
     Match oriented boxes to the reference boxes of another source.
 
     Images are the same if their names are, without folder and suffix. Within an image the pair
-    with the highest IoU is matched first, then the next of those left; at equal IoU the earlier
-    oriented box comes first, and gets the earlier reference box. Classes are not compared, because
-    sources name them differently.
+    with the highest IoU is matched first, then the next highest of those left; at equal IoU the
+    earlier oriented box comes first, and gets the earlier reference box. Classes are not compared,
+    because sources name them differently.
 
     Parameters
     ----------
@@ -68,9 +67,10 @@ def match_references(
         raise ValueError(f'min_iou must be in (0, 1], not {min_iou}')
     images, others = list(boxes), list(references)
     pools = {
-        name: _finite(np.concatenate([others[index].reference for index in rows]))
+        name: np.concatenate([others[index].reference for index in rows])
         for name, rows in _rows_by_name(others).items()
     }
+    pools = {name: pool[np.isfinite(pool).all(axis=1)] for name, pool in pools.items()}
     matched = [np.full((len(image.class_ids), 4), np.nan) for image in images]
     for name, rows in _rows_by_name(images).items():
         if name not in pools:
@@ -102,15 +102,16 @@ def match_boxes(
     boxes: FloatArray, references: FloatArray, min_iou: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """
-    Match the boxes of one image, (N, 4), to at most one reference, (M, 4), each; best IoU first.
+    Match each box of an image, (N, 4), to at most one reference, (M, 4); best IoU first.
 
-    Returns
-    -------
-    ndarray of int, ndarray of int
-        Rows of `boxes` and rows of `references` of each pair, by falling IoU; NaN rows match
-        nothing.
+    Returns the rows of `boxes` and of `references` of each pair, by falling IoU; NaN rows match
+    nothing.
     """
-    own, other = _overlapping(boxes, references)
+    own, other = (np.flatnonzero(np.isfinite(each).all(axis=1)) for each in (boxes, references))
+    # Only the pairs that touch: all pairs of a large scene would be millions.
+    tree = shapely.STRtree(shapely.box(*references[other].T))
+    near_own, near_other = tree.query(shapely.box(*boxes[own].T))
+    own, other = own[near_own], other[near_other]
     # Two boxes without area have no IoU, and do not match.
     with np.errstate(invalid='ignore'):
         overlap = iou(boxes[own], references[other])
@@ -127,21 +128,6 @@ def match_boxes(
     return own[rows], other[rows]
 
 
-def _overlapping(
-    boxes: FloatArray, references: FloatArray
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """List the pairs that touch: few, where all pairs of a large scene would be millions."""
-    own, other = (np.flatnonzero(np.isfinite(each).all(axis=1)) for each in (boxes, references))
-    tree = shapely.STRtree(shapely.box(*references[other].T))
-    near_own, near_other = tree.query(shapely.box(*boxes[own].T))
-    return own[near_own], other[near_other]
-
-
-def _finite(rows: FloatArray) -> FloatArray:
-    """Drop the rows that are not finite."""
-    return np.asarray(rows[np.isfinite(rows).all(axis=1)])
-
-
 def _rows_by_name(images: Sequence[ImageLabels]) -> dict[str, list[int]]:
     """Group the indices of images by bare name; several entries of one name are one image."""
     groups: dict[str, list[int]] = {}
@@ -149,6 +135,6 @@ def _rows_by_name(images: Sequence[ImageLabels]) -> dict[str, list[int]]:
         group = groups.setdefault(bare_name(image.image), [])
         if group and images[group[0]].image != image.image:
             names = f'{images[group[0]].image!r} and {image.image!r}'
-            raise ValueError(f'{names} cannot be told apart by their bare names')
+            raise ValueError(f'{names} have the same name without folder and suffix')
         group.append(index)
     return groups

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-How good a box is: its overlap with a reference, and the part of a hull inside it.
+Box quality: overlap with a reference, and the part of a hull inside the box.
 
-The paper scores boxes in two ways that answer different questions; here they are kept apart by
-name. Protocol `obb` compares an axis-aligned box with the *oriented* box it was made from (its
-ShipRSImageNet table; then `outer` is 1 minus its overshoot, and the tightest box wins even if it
-cuts the ship). Protocol `hbb` compares it with a separately drawn axis-aligned box (its Sentinel-2
-table): the box that a user wants.
+The paper scores boxes in two ways that answer different questions; here each has a name.
+Protocol `obb` compares an axis-aligned box with the *oriented* box it was made from (its
+ShipRSImageNet table; the IoU of `outer` is then 1 minus its overshoot, and the tightest box wins
+even if it cuts the ship). Protocol `hbb` compares it with a separately drawn axis-aligned box (its
+Sentinel-2 table): the box that a user wants.
 """
 
 from __future__ import annotations
@@ -81,40 +81,14 @@ class Overlap:
 
 
 def overlap_with_hbb(xyxy: FloatArray, reference: FloatArray) -> Overlap:
-    """
-    Compare boxes with axis-aligned references.
-
-    Parameters
-    ----------
-    xyxy, reference : ndarray, shape (N, 4)
-        Boxes, pixels.
-
-    Returns
-    -------
-    Overlap
-        NaN where either row is.
-    """
+    """Compare N boxes with axis-aligned references, each (N, 4), pixels; NaN where either is."""
     low = np.maximum(xyxy[:, :2], reference[:, :2])
     high = np.minimum(xyxy[:, 2:], reference[:, 2:])
     return Overlap(area(np.hstack((low, high))), area(xyxy), area(reference))
 
 
 def overlap_with_obb(xyxy: FloatArray, boxes: OrientedBoxes) -> Overlap:
-    """
-    Compare axis-aligned boxes with oriented ones.
-
-    Parameters
-    ----------
-    xyxy : ndarray, shape (N, 4)
-        Boxes, pixels.
-    boxes : OrientedBoxes
-        N references.
-
-    Returns
-    -------
-    Overlap
-        NaN where either row is.
-    """
+    """Compare N boxes, (N, 4), pixels, with N oriented references; NaN where either is."""
     # Coordinates relative to the centre keep their digits.
     center = boxes.center.T
     corners, local = boxes.corners - center[:, None], xyxy - np.tile(center, 2)
@@ -144,17 +118,7 @@ def bounds(points: FloatArray) -> FloatArray:
 
 def iou(xyxy: FloatArray, reference: FloatArray) -> FloatArray:
     """
-    Compute the intersection over union of boxes in pairs.
-
-    Parameters
-    ----------
-    xyxy, reference : ndarray, shape (N, 4)
-        Boxes, pixels.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        In [0, 1]; NaN where either row is.
+    Compute the intersection over union, (N,), of boxes in pairs, each (N, 4); NaN where either is.
 
     Examples
     --------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's Table 1, and what the synthetic hulls of this package give in its place."""
+"""The paper's Table 1, compared with the same figures on the synthetic hulls."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ PAPER_ROWS: MappingProxyType[str, HullRule] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Comparison:
-    """A mean relative error in the paper's Table 1, and ours, to which its family may be fitted."""
+    """A mean relative error in the paper's Table 1, and ours; `fitted` if the hulls use it."""
 
     family: str
     row: str
@@ -72,14 +72,7 @@ def _relative_errors(ships: Ships, rule: HullRule) -> dict[str, float]:
 
 
 def paper_comparison() -> list[Comparison]:
-    """
-    Compare the paper's Table 1 with the results on synthetic hulls.
-
-    Returns
-    -------
-    list of Comparison
-        48, by family, row and fullness; 4 of them fitted.
-    """
+    """Compare the 48 numbers of the paper's Table 1 with ours; 4 of them are fitted."""
     ships = hulls.synthetic_ships(seed=None)
     errors = {row: _relative_errors(ships, rule) for row, rule in PAPER_ROWS.items()}
     return [
@@ -100,7 +93,7 @@ def mean_deviation(found: Sequence[Comparison], row: str) -> float:
 
 def fit_ends(family: hulls.Family) -> hulls.Family:
     """
-    Shape a family so that it gives the paper's row "N" at fullness 1.00.
+    Fit a family to the paper's row "N" at fullness 1.00.
 
     Its ends below 1 are replaced by one number, found by bisection to 1e-5.
     """

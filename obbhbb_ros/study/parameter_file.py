@@ -17,22 +17,21 @@ def yaml_text(
     rule: HullRule, rule_of_class: Mapping[str, HullRule], notes: Sequence[str] = ()
 ) -> str:
     """
-    Write rules as YAML for `--params-file`, for a node of any name in any namespace.
+    Return rules as YAML for `--params-file`, for a node of any name in any namespace.
 
     Parameters
     ----------
     rule : HullRule
-        Rule for every class without its own.
+        Rule of every class that is not in `rule_of_class`.
     rule_of_class : mapping of str to HullRule
-        By class.
+        Rules by class.
     notes : sequence of str
         Comments for the top of the file.
 
     Raises
     ------
     ValueError
-        If the node does not offer a rule's method, or a class id cannot be part of a parameter's
-        name.
+        If the node has no such method, or a class id cannot be part of a parameter's name.
 
     Examples
     --------
@@ -60,11 +59,11 @@ def yaml_text(
 
 
 def _values(rule: HullRule, indent: str) -> list[str]:
-    """Write the four parameters of a rule."""
+    """Format the four parameters of a rule."""
     numbers = [f'{indent}{name}: {_double(getattr(rule, name))}' for name in ('q', 'f', 's')]
     return [f'{indent}method: {json.dumps(rule.method)}', *numbers]
 
 
 def _double(value: float) -> str:
-    """Write a number with a decimal point, so that ROS takes it for a double."""
+    """Format a number with a decimal point, so that ROS reads it as a double."""
     return repr(float(value)) if np.isfinite(value) else '.inf'

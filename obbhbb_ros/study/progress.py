@@ -12,7 +12,7 @@ Item = TypeVar('Item')
 
 
 def track(items: Iterable[Item], label: str, total: int | None = None) -> Iterator[Item]:
-    """Yield images, and show on stderr what is done to how many of them."""
+    """Yield images, and show on stderr how many are done; `label` says what is done."""
     if sys.stderr.isatty():
         try:
             from tqdm import tqdm

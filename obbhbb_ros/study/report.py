@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-One HTML page with everything: tables, curves, calibration, synthetic hulls, a gallery of ships.
+The report, one HTML page: tables, curves, calibration, synthetic hulls, a gallery of ships.
 
-The page contains its styles and figures, and loads nothing. Needs Jinja2 and matplotlib, the extra
-`plots`.
+The page contains its styles and figures, and loads no other file. Needs Jinja2 and matplotlib, the
+extra `plots`.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ _FOLDS = 5
 
 def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -> str:
     """
-    Write the page for some ships, as HTML.
+    Return the report on some ships, as HTML.
 
     Parameters
     ----------
     ships : Ships
-        The ships. Without reference boxes the page has no calibration on them, and compares with
-        the oriented boxes only.
+        The ships. Without reference boxes the report has no calibration on them, and compares
+        with the oriented boxes only.
     title : str
         Name of the data.
     gallery : int
-        Number of ships to draw, those with the smallest IoU of `superellipse` first.
+        Number of ships to draw, those with the lowest IoU of `superellipse` first.
     seed : int
         Seed of bootstrap samples, splits and synthetic hulls.
 
@@ -94,7 +94,7 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
 
 
 def _calibration(known: Ships, seed: int) -> dict[str, Any]:
-    """Calibrate on ships with reference boxes, for the page."""
+    """Calibrate on ships with reference boxes."""
     folds = min(_FOLDS, known.image_count)
     outcome = run(known, Plan(seed=seed), folds, by_aspect=True, seed=seed) if folds > 1 else None
     text = outcome_text(outcome) if outcome else None
@@ -149,7 +149,7 @@ def _best_errors(ships: Ships) -> dict[str, dict[str, FloatArray]]:
 
 
 def _cards(ships: Ships, protocol: str, count: int) -> Iterator[dict[str, Any]]:
-    """Collect what to draw of the ships with the smallest IoU of `superellipse`, worst first."""
+    """Collect the gallery: the ships with the lowest IoU of `superellipse`, worst first."""
     boxes = {name: convert_by_rule(ships.boxes, rule) for name, rule in DEFAULT_RULES.items()}
     scores = {name: evaluation.overlap(ships, xyxy, protocol).iou for name, xyxy in boxes.items()}
     for row in np.argsort(scores['superellipse'], kind='stable')[:count].tolist():

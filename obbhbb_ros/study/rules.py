@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rules that a study compares: the paper's, the default of each method, rules by class."""
+"""The rules that are compared: the paper's, the default of each method, rules by class."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType
-
-import numpy as np
+from typing import Any
 
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.converter import PAPER_RULE
@@ -31,48 +30,27 @@ def choose_rules(
     s: float | None = None,
 ) -> dict[str, HullRule]:
     """
-    Choose a rule for each method.
+    Choose a rule for each of some methods, all by default.
 
-    Parameters
-    ----------
-    methods : sequence of str, optional
-        Keys of `METHODS`; all by default.
-    q, f, s : float, optional
-        Parameters of the tunable methods, instead of those in `DEFAULT_RULES`.
-
-    Raises
-    ------
-    ValueError
-        If a method is unknown or a parameter is out of range.
+    q, f and s are for the tunable methods, instead of those in `DEFAULT_RULES`. Raises ValueError
+    if a method is unknown or a parameter is out of range.
     """
     unknown = [name for name in methods or () if name not in METHODS]
     if unknown:
         raise ValueError(f'no method {unknown[0]!r}; there are {", ".join(METHODS)}')
     chosen = {name: DEFAULT_RULES[name] for name in methods or METHODS}
+    given: dict[str, Any] = {'q': q, 'f': f, 's': s}
+    given = {name: value for name, value in given.items() if value is not None}
     for name in chosen.keys() & set(TUNABLE_METHODS):
-        own = chosen[name]
-        chosen[name] = replace(
-            own,
-            q=own.q if q is None else q,
-            f=own.f if f is None else f,
-            s=own.s if s is None else s,
-        )
+        chosen[name] = replace(chosen[name], **given)
     return chosen
 
 
 def convert_by_class(
     ships: Ships, rule: HullRule, rule_of_class: Mapping[str, HullRule]
 ) -> FloatArray:
-    """
-    Convert ships as the node does: by the rule of their class, or else by `rule`.
-
-    Returns
-    -------
-    ndarray, shape (N, 4)
-        Boxes, pixels.
-    """
-    rule_of = np.zeros(len(ships), dtype=np.intp)
-    for index, class_id in enumerate(rule_of_class, start=1):
-        rule_of[ships.class_ids == class_id] = index
-    extents = half_extents(ships.boxes, [rule, *rule_of_class.values()], rule_of)
-    return to_xyxy(ships.boxes.center, extents)
+    """Convert N ships as the node does, by the rule of their class, or else by `rule`; (N, 4)."""
+    rules = [*rule_of_class.values(), rule]
+    # The index of a class without a rule, -1, is that of the last rule.
+    rule_of = ships.class_index(rule_of_class) % len(rules)
+    return to_xyxy(ships.boxes.center, half_extents(ships.boxes, rules, rule_of))

@@ -25,7 +25,7 @@ from obbhbb_ros.study.progress import track
 @dataclass(frozen=True, eq=False)
 class Ships:
     """
-    N oriented boxes, and what is known of the ships in them.
+    The labels of N ships.
 
     Attributes
     ----------
@@ -103,6 +103,12 @@ class Ships:
             skipped=self.skipped,
         )
 
+    def class_index(self, names: Iterable[str]) -> NDArray[np.intp]:
+        """Find the class of each ship among some classes: its index, -1 if it is another."""
+        number = {name: index for index, name in enumerate(names)}
+        found = [number.get(name, -1) for name in self.class_ids.tolist()]
+        return np.array(found, dtype=np.intp)
+
     @property
     def image_count(self) -> int:
         """Number of images."""
@@ -110,7 +116,7 @@ class Ships:
 
     @property
     def with_reference(self) -> NDArray[np.bool_]:
-        """Which ships have a reference box of some area, shape (N,)."""
+        """Whether each ship has a reference box with an area, shape (N,)."""
         with np.errstate(invalid='ignore'):
             return np.asarray((self.reference[:, 2:] > self.reference[:, :2]).all(axis=1))
 
@@ -119,8 +125,7 @@ class Ships:
         """
         Angle between the long axis and the nearest image axis, degrees in [0, 45], shape (N,).
 
-        The paper's angle bands are bands of this: beyond 45 degrees an orientation is one of
-        these seen from the other axis.
+        The paper's angle bands are bands of this angle.
         """
         degrees = np.degrees(self.boxes.theta)
         return np.abs(np.mod(degrees + 45.0, 90.0) - 45.0)
@@ -154,7 +159,7 @@ def read_ships(
     image_size : tuple of int, optional
         Width and height of every image, pixels, for normalised formats.
     on_error : callable, optional
-        Receives each malformed record; by default the first one is raised.
+        Called with the error of each malformed record; by default the first one is raised.
 
     Raises
     ------

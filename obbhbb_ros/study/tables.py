@@ -39,7 +39,7 @@ def score_tables(
     scores: Sequence[evaluation.Score],
     settings: evaluation.Settings = evaluation.DEFAULT_SETTINGS,
 ) -> str:
-    """Write scores: for each protocol all figures over all ships, then mean IoU by stratum."""
+    """Tabulate scores: for each protocol all figures over all ships, then mean IoU by stratum."""
     head = [
         'method', 'q / f / s', 'mean IoU', '95 % interval', f'match{settings.threshold * 100:g}',
         'overshoot', 'undershoot', 'avg. error', 'area error', 'coverage',
@@ -63,7 +63,7 @@ def score_tables(
 
 
 def _score_row(score: evaluation.Score) -> list[str]:
-    """Write the figures of one method."""
+    """Format the figures of one method."""
     tuned = score.method in TUNABLE_METHODS
     return [
         score.method,
@@ -77,7 +77,7 @@ def _score_row(score: evaluation.Score) -> list[str]:
 
 
 def outcome_text(outcome: Outcome) -> str:
-    """Write the result of a calibration: the rule, held-out figures, gains, the guarantee."""
+    """Describe the result of a calibration: rule, held-out figures, gains, guarantee."""
     plan = outcome.plan
     parts = [
         f'{plan.method} for {OBJECTIVES[plan.objective].summary}, '
@@ -130,12 +130,12 @@ def _guarantee(plan: Plan) -> str:
 
 
 def _parameters(rule: HullRule) -> str:
-    """Write the parameters of a rule."""
+    """Format the parameters of a rule."""
     return f'q {rule.q:.4g}, f {rule.f:.4g}, s {rule.s:.4g}'
 
 
 def comparison_table(found: Sequence[Comparison]) -> str:
-    """Write the paper's Table 1, our numbers and the deviations, as `paper_comparison` gives it."""
+    """Tabulate the paper's Table 1, our numbers and the deviations, from `paper_comparison`."""
     families = list(dict.fromkeys(each.family for each in found))
     rows: dict[str, list[str]] = {}
     for each in sorted(found, key=lambda each: each.fullness):
@@ -146,7 +146,7 @@ def comparison_table(found: Sequence[Comparison]) -> str:
 
 
 def cost_table(costs: Mapping[str, Cost]) -> str:
-    """Write the cost of chips by method, and in brackets the difference to the outer boxes."""
+    """Tabulate the cost of chips by method, with the difference from `outer` in brackets."""
     outer = costs['outer']
     rows = []
     for name, cost in costs.items():
@@ -159,7 +159,7 @@ def cost_table(costs: Mapping[str, Cost]) -> str:
 
 
 def _against(value: int, outer: int) -> str:
-    """Write a number and its difference to that of the outer boxes."""
+    """Format a number and its difference from that of the outer boxes."""
     return f'{value} ({value / outer - 1.0:+.1%})' if outer else str(value)
 
 
@@ -167,8 +167,8 @@ def scene_table(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> str:
     """
     Compare the boxes of methods, each (N, 4), `outer` among them, on N ships with known hulls.
 
-    One row per method: mean size, share of the outer boxes' background that it removes, share of
-    the hulls that it keeps, mean IoU with the reference.
+    One row per method: mean size, share of the background in the outer boxes that is removed, share
+    of the hulls that is kept, mean IoU with the reference.
     """
     hulls = [hull for hull in labels.hulls if hull is not None]
     whole = np.sum(metrics.hull_inside(np.array([metrics.bounds(hull) for hull in hulls]), hulls))

@@ -10,71 +10,55 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
-import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from collections.abc import Sequence
+from contextlib import ExitStack
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.serialization import serialize_message
-from vision_msgs.msg import Detection2D
 from vision_msgs.msg import Detection2DArray
-from vision_msgs.msg import ObjectHypothesisWithPose
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from harness import TIMEOUT
+from harness import NodeProcess
+from harness import Peer
+from harness import site_at
+from ships import detector_message
 
 from obbhbb_ros.study.tables import text_table
 
-HERE = Path(__file__).parent
 TICKS = os.sysconf('SC_CLK_TCK')
-OURS = [sys.executable, '-m', 'obbhbb_ros.nodes', 'obb_to_hbb']
-IMAGE = ['-p', 'image_width:=4096', '-p', 'image_height:=4096']
+PEERS = [sys.executable, str(Path(__file__).with_name('peers.py'))]
+IMAGE = {'image_width': 4096, 'image_height': 4096}
 NODES = {
-    'echo': [sys.executable, str(HERE / 'peers.py'), 'echo'],
-    'typed': [sys.executable, str(HERE / 'peers.py'), 'typed'],
-    'ours': OURS,
-    'ours + crops': OURS,
+    'echo': [*PEERS, 'echo'],
+    'typed': [*PEERS, 'typed'],
+    'ours': 'obb_to_hbb',
+    'ours + crops': 'obb_to_hbb',
 }
-
-
-def message(count: int, side: int = 4096) -> bytes:
-    """Write `count` detections of an image as a detector would: classes and ids differ."""
-    random = np.random.default_rng(count)
-    array = Detection2DArray()
-    array.header.frame_id = 'camera'
-    for i in range(count):
-        detection = Detection2D(header=array.header, id=str(i))
-        box = detection.bbox
-        box.center.position.x, box.center.position.y = random.uniform(100, side - 96, 2)
-        box.size_x, box.size_y = random.uniform(20, 200), random.uniform(5, 50)
-        box.center.theta = random.uniform(-3, 3)
-        result = ObjectHypothesisWithPose()
-        result.hypothesis.class_id = ('ship', 'tug', 'tanker')[random.integers(3)]
-        result.hypothesis.score = random.uniform()
-        detection.results.append(result)
-        array.detections.append(detection)
-    return serialize_message(array)
 
 
 class Asked:
     """A node in a process of its own, and the topics to ask it by."""
 
-    def __init__(self, name: str, node: rclpy.node.Node, executor: SingleThreadedExecutor) -> None:
+    def __init__(self, name: str, peer: Peer) -> None:
         self.name = name
-        namespace = f'/bench_{os.getpid()}_{"".join(filter(str.isalpha, name))}'
-        arguments = ['--ros-args', '-r', f'__ns:={namespace}']
-        self._process = subprocess.Popen(
-            [*NODES[name], *arguments, *(IMAGE if name.startswith('ours') else [])]
-        )
-        self._executor = executor
+        namespace = f'{peer.node.get_namespace()}/{"".join(filter(str.isalpha, name))}'
+        size = IMAGE if name.startswith('ours') else {}
+        self.process = NodeProcess(NODES[name], parameters=size, namespace=namespace)
+        self._peer = peer
         self._answers = 0
         topics = ['boxes', 'crop_regions'] if name.endswith('crops') else ['boxes']
         self._wanted = len(topics)
-        self._publisher = node.create_publisher(Detection2DArray, f'{namespace}/detections', 10)
+        self._publisher = peer.node.create_publisher(
+            Detection2DArray, f'{namespace}/detections', 10
+        )
         for topic in topics:
-            node.create_subscription(
+            peer.node.create_subscription(
                 Detection2DArray, f'{namespace}/{topic}', self._count, 10, raw=True
             )
 
@@ -87,48 +71,45 @@ class Asked:
         started = time.perf_counter()
         self._publisher.publish(data)
         while self._answers < self._wanted:
-            self._executor.spin_once(timeout_sec=0.1)
+            self._peer.spin(0.1)
             if time.perf_counter() - started > timeout:
                 return float('nan')
         return time.perf_counter() - started
 
     def warm_up(self, data: bytes) -> None:
         """Ask until answers come."""
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + TIMEOUT
         while np.isnan(self.ask(data, 0.5)):
             if time.monotonic() > deadline:
                 raise TimeoutError(f'{self.name} does not answer')
         for _ in range(20):
             self.ask(data)
 
-    def cpu_seconds(self) -> float:
-        """Tell the processor time that the node has used."""
-        fields = Path(f'/proc/{self._process.pid}/stat').read_text().rpartition(')')[2].split()
-        return (int(fields[11]) + int(fields[12])) / TICKS
 
-    def resident_megabytes(self) -> float:
-        """Tell the memory that the node holds."""
-        pages = int(Path(f'/proc/{self._process.pid}/statm').read_text().split()[1])
-        return pages * os.sysconf('SC_PAGE_SIZE') / 2**20
-
-    def stop(self) -> None:
-        """End the process."""
-        self._process.send_signal(signal.SIGINT)
-        self._process.wait(10)
+@contextmanager
+def all_asked() -> Iterator[list[Asked]]:
+    """Run all nodes as long as the `with` block lasts."""
+    with (
+        site_at() as site, Peer(site.context, f'/bench_{os.getpid()}') as peer, ExitStack() as stack
+    ):
+        asked = [Asked(name, peer) for name in NODES]
+        for node in asked:
+            stack.enter_context(node.process)
+        yield asked
 
 
 def measure(asked: Sequence[Asked], count: int, rounds: int) -> list[list[str]]:
-    """Ask all nodes in turn with messages of `count` detections; a row a node."""
-    data = message(count)
+    """Ask all nodes in turn with messages of `count` detections; one row per node."""
+    data = detector_message(count)
     for node in asked:
         node.warm_up(data)
     times: dict[str, list[float]] = {node.name: [] for node in asked}
     cpu = {node.name: 0.0 for node in asked}
     for _ in range(rounds):
         for node in asked:
-            before = node.cpu_seconds()
+            before = node.process.cpu_seconds()
             times[node.name] += [node.ask(data) for _ in range(20)]
-            cpu[node.name] += node.cpu_seconds() - before
+            cpu[node.name] += node.process.cpu_seconds() - before
     medians = {name: np.nanmedian(values) for name, values in times.items()}
     rows = []
     for node in asked:
@@ -140,7 +121,7 @@ def measure(asked: Sequence[Asked], count: int, rounds: int) -> list[list[str]]:
             f'{medians["typed"] / medians[node.name]:.1f}',
             f'{cpu[node.name] / values.size * 1e3:.2f}',
             f'{cpu["typed"] / max(cpu[node.name], 1 / TICKS):.1f}',
-            f'{node.resident_megabytes():.0f}', str(int(np.isnan(values).sum())),
+            f'{node.process.resident_megabytes():.0f}', str(int(np.isnan(values).sum())),
         ])
     return rows
 
@@ -157,20 +138,10 @@ def main() -> None:
     parser.add_argument('--sizes', type=int, nargs='+', default=[1, 10, 100, 1000])
     parser.add_argument('--rounds', type=int, default=25, help='of 20 messages to each node')
     options = parser.parse_args()
-    rclpy.init()
-    client = rclpy.create_node('bench_client')
-    executor = SingleThreadedExecutor()
-    executor.add_node(client)
-    asked = [Asked(name, client, executor) for name in NODES]
     rows = []
-    try:
+    with all_asked() as asked:
         for count in options.sizes:
             rows += measure(asked, count, options.rounds)
-    finally:
-        for node in asked:
-            node.stop()
-        executor.shutdown()
-        rclpy.try_shutdown()
     print(text_table(HEAD, rows))
 
 

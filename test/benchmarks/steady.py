@@ -11,11 +11,9 @@ import argparse
 import time
 from collections.abc import Sequence
 
-import rclpy
-from node import NODES
 from node import Asked
-from node import message
-from rclpy.executors import SingleThreadedExecutor
+from node import all_asked
+from node import detector_message
 
 from obbhbb_ros.study.tables import text_table
 
@@ -26,19 +24,19 @@ def measure(asked: Sequence[Asked], data: bytes, rate: float, seconds: float) ->
     """Send at a rate for some time; give one row per node."""
     for node in asked:
         node.warm_up(data)
-    before = [node.cpu_seconds() for node in asked]
+    before = [node.process.cpu_seconds() for node in asked]
     count = int(rate * seconds)
     started = time.monotonic()
     for i in range(count):
         for node in asked:
             node.ask(data)
         time.sleep(max(0.0, started + (i + 1) / rate - time.monotonic()))
-    spent = [
-        (node.cpu_seconds() - b) / count * 1e3 for node, b in zip(asked, before, strict=True)
-    ]
+    after = [node.process.cpu_seconds() for node in asked]
+    spent = [(b - a) / count * 1e3 for a, b in zip(before, after, strict=True)]
+    resident = [node.process.resident_megabytes() for node in asked]
     return [
-        [node.name, f'{each:.2f}', f'{each / spent[0]:.2f}', f'{node.resident_megabytes():.0f}']
-        for node, each in zip(asked, spent, strict=True)
+        [node.name, f'{each:.2f}', f'{each / spent[0]:.2f}', f'{megabytes:.0f}']
+        for node, each, megabytes in zip(asked, spent, resident, strict=True)
     ]
 
 
@@ -49,18 +47,9 @@ def main() -> None:
     parser.add_argument('--rate', type=float, default=10.0, help='messages per second')
     parser.add_argument('--seconds', type=float, default=30.0)
     options = parser.parse_args()
-    rclpy.init()
-    client = rclpy.create_node('bench_client')
-    executor = SingleThreadedExecutor()
-    executor.add_node(client)
-    asked = [Asked(name, client, executor) for name in NODES]
-    try:
-        rows = measure(asked, message(options.detections), options.rate, options.seconds)
-    finally:
-        for node in asked:
-            node.stop()
-        executor.shutdown()
-        rclpy.try_shutdown()
+    data = detector_message(options.detections)
+    with all_asked() as asked:
+        rows = measure(asked, data, options.rate, options.seconds)
     print(f'{options.detections} detections at {options.rate:g} Hz for {options.seconds:g} s')
     print(text_table(HEAD, rows))
 

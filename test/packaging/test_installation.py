@@ -63,9 +63,3 @@ def test_colcon_builds_a_package_whose_executables_run(source) -> None:
     )
     assert finished.returncode == 1
     assert 'q out of range' in finished.stderr
-
-
-@pytest.mark.parametrize('name', ['obb_to_hbb', 'downlink'])
-def test_the_launch_file_is_python(name) -> None:
-    path = ROOT / 'launch' / f'{name}.launch.py'
-    compile(path.read_text(encoding='utf-8'), path, 'exec')

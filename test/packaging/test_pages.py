@@ -6,18 +6,16 @@ import importlib
 import importlib.util
 import re
 import shlex
-import sys
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 from typing import Any
-from unittest.mock import MagicMock
 from xml.etree import ElementTree
 
 import pytest
 import yaml
+from launch_files import launched
 
 from obbhbb_ros import cli
 from obbhbb_ros import commands
@@ -248,29 +246,9 @@ def test_a_node_whose_state_is_set_exists(words: list[str]) -> None:
     assert words[3].lstrip('/') in EXECUTABLES
 
 
-def launch_arguments(file: Path) -> list[str]:
-    """Give the arguments of a launch file, with stand-ins for what it imports."""
-    declared: list[str] = []
-    actions = MagicMock()
-    actions.DeclareLaunchArgument = lambda name, **_: declared.append(name)
-    names = {
-        'launch', 'launch.conditions', 'launch.substitutions', 'launch_ros', 'launch_ros.actions',
-        'ament_index_python', 'ament_index_python.packages',
-    }
-    stand_ins = {name: MagicMock() for name in names} | {'launch.actions': actions}
-    with pytest.MonkeyPatch.context() as patch:
-        for name, module in stand_ins.items():
-            patch.setitem(sys.modules, name, module)
-        spec = importlib.util.spec_from_file_location('launch_file', file)
-        module = ModuleType('launch_file')
-        spec.loader.exec_module(module)
-        module.generate_launch_description()
-    return declared
-
-
 @shown('ros2', 'launch', 'obbhbb_ros')
 def test_a_launch_file_and_its_arguments_exist(words: list[str]) -> None:
-    known = launch_arguments(ROOT / 'launch' / words[3])
+    known = launched(ROOT / 'launch' / words[3]).declared
     assert all(word.partition(':=')[0] in known for word in words[4:])
 
 
@@ -278,7 +256,7 @@ def test_a_launch_file_and_its_arguments_exist(words: list[str]) -> None:
 def test_every_argument_of_a_launch_file_is_documented(file: Path) -> None:
     page = text_of(ROOT / 'doc' / 'deployment.md')
     named = named_in(page, f'| argument of `{file.name}` |')
-    assert sorted(named) == sorted(launch_arguments(file))
+    assert sorted(named) == sorted(launched(file).declared)
 
 
 SCRIPTS = [

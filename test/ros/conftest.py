@@ -7,13 +7,11 @@ import os
 from collections.abc import Callable
 from collections.abc import Iterator
 from contextlib import ExitStack
-from typing import Any
 
 import pytest
-import rclpy
 from harness import Converter
 from harness import Site
-from rclpy.context import Context
+from harness import site_at
 
 # Higher domains run into the ports that Linux hands out to programs.
 DOMAINS = 100
@@ -35,31 +33,25 @@ PROFILES = """<?xml version="1.0" encoding="UTF-8"?>
 
 @pytest.fixture(scope='session')
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    """A place out of hearing of everything else that speaks ROS."""
+    """A place that hears nothing of everything else that speaks ROS."""
     folder = tmp_path_factory.mktemp('ros')
     profiles = folder / 'profiles.xml'
     profiles.write_text(PROFILES)
-    context = Context()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('ROS_DOMAIN_ID', str(1 + os.getpid() % DOMAINS))
         patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
         patch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(profiles))
         patch.setenv('ROS_LOG_DIR', str(folder))
         patch.setenv('RCUTILS_COLORIZED_OUTPUT', '0')
-        rclpy.init(context=context)
-        yield Site(folder, context)
-        rclpy.shutdown(context=context)
+        with site_at(folder) as site:
+            yield site
 
 
 @pytest.fixture
 def start(site: Site) -> Iterator[Callable[..., Converter]]:
     """Starts nodes that end with the test."""
     with ExitStack() as stack:
-
-        def _start(**kwargs: Any) -> Converter:
-            return stack.enter_context(Converter(site, **kwargs))
-
-        yield _start
+        yield lambda **kwargs: stack.enter_context(Converter(site, **kwargs))
 
 
 @pytest.fixture(scope='module')

@@ -5,34 +5,24 @@ from __future__ import annotations
 
 import io
 import itertools
-import os
 import time
 from collections.abc import Callable
 from collections.abc import Iterator
-from collections.abc import Sequence
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from diagnostic_msgs.msg import DiagnosticStatus
+from harness import ChipNode
 from harness import Converter
-from harness import Counts
-from harness import NodeProcess
-from harness import Peer
+from harness import Region
 from harness import Site
-from harness import parameters_of
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from numpy.typing import NDArray
 from PIL import Image as Picture
-from rcl_interfaces.srv import SetParametersAtomically
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import CompressedImage
-from sensor_msgs.msg import Image
-from ships import detections
 from std_msgs.msg import Header
-from test_player import run_player
 from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
@@ -42,133 +32,8 @@ from obbhbb_ros.labels import write_labels
 from obbhbb_ros.nodes.play_detections import image_message
 from obbhbb_ros.study.harbour import harbour
 
-Region = tuple[int, int, int, int]
 REGIONS: list[Region] = [(10, 20, 31, 41), (0, 0, 8, 8), (90, 50, 120, 80)]
 WIDTH, HEIGHT = 120, 80
-
-_numbers = itertools.count()
-
-
-class ChipNode:
-    """The node `chip_extractor` in a process of its own, and a peer that talks to it."""
-
-    def __init__(self, site: Site, namespace: str = '', **parameters: Any) -> None:
-        number = next(_numbers)
-        self.namespace = namespace or f'/chips_{os.getpid()}_{number}'
-        self._stamps = itertools.count(1)
-        self.peer = Peer(site.context, self.namespace)
-        self.chips: list[CompressedImage] = []
-        self.arrivals: list[float] = []
-        self.peer.node.create_subscription(CompressedImage, 'chip/compressed', self._note, 1000)
-        self.infos = self.peer.collect(CameraInfo, 'chip/camera_info')
-        self._diagnostics = self.peer.collect(DiagnosticArray, '/diagnostics')
-        self.process = NodeProcess(
-            'chip_extractor', site.folder / f'chips_{number}.log',
-            ['-r', f'__ns:={self.namespace}'], parameters,
-        )
-
-    def _note(self, chip: CompressedImage) -> None:
-        self.chips.append(chip)
-        self.arrivals.append(time.monotonic())
-
-    def close(self) -> None:
-        self.process.close()
-        self.peer.close()
-
-    def connect(self) -> None:
-        """Wait until all topics are connected, both ways."""
-        self._image = self.peer.publisher(Image, 'image')
-        self._plan = self.peer.publisher(Detection2DArray, 'crop_regions')
-        again = 0.0
-
-        def chip_came() -> bool:
-            nonlocal again
-            if time.monotonic() > again:
-                self.send(np.zeros((8, 8), np.uint8), 'mono8', [(0, 0, 4, 4)])
-                again = time.monotonic() + 0.25
-            return bool(self.chips and self.infos)
-
-        self.peer.spin_until(chip_came, f'a first chip; the log: {self.process.log}')
-        self.counts()
-        self.counts()
-        self.forget()
-
-    def forget(self) -> None:
-        self.chips.clear()
-        self.infos.clear()
-        self.arrivals.clear()
-
-    def stamp(self) -> Header:
-        """Make a header that no other message has."""
-        header = Header(frame_id='bow_camera')
-        header.stamp.sec = next(self._stamps)
-        return header
-
-    def send_image(self, image: Image) -> None:
-        self._image.publish(image)
-
-    def send_plan(self, regions: Sequence[Region], header: Header) -> None:
-        self._plan.publish(plan_message(regions, header))
-
-    def send(
-        self, pixels: NDArray[Any], encoding: str, regions: Sequence[Region]
-    ) -> Header:
-        """Publish an image and its plan."""
-        header = self.stamp()
-        self.send_image(image_message(encoding, pixels, header))
-        self.send_plan(regions, header)
-        return header
-
-    def wait(self, condition: Callable[[], Any], what: str) -> None:
-        self.peer.spin_until(condition, f'{what}; the log: {self.process.log}')
-
-    def counts(self) -> Counts:
-        """Give the numbers of the next diagnostics."""
-        self.peer.spin()
-        self._diagnostics.clear()
-        name = f'{self.namespace}/chip_extractor'.lstrip('/')
-        found: list[Counts] = []
-
-        def came() -> bool:
-            found.extend(
-                Counts(array.status[0]) for array in self._diagnostics
-                if array.status[0].name == name
-            )
-            return bool(found)
-
-        self.wait(came, 'diagnostics')
-        return found[-1]
-
-    def warned(self, text: str) -> bool:
-        """Tell whether diagnostics have said something at level WARN."""
-        return any(
-            text in status.message and status.level == DiagnosticStatus.WARN
-            for array in self._diagnostics for status in array.status
-        )
-
-    def call(self, kind: Any, service: str, request: Any) -> Any:
-        client = self.peer.node.create_client(kind, f'chip_extractor/{service}')
-        self.wait(client.service_is_ready, service)
-        future = client.call_async(request)
-        self.wait(future.done, service)
-        return future.result()
-
-    def set(self, **values: Any) -> Any:
-        given = {name.replace('__', '.'): value for name, value in values.items()}
-        request = SetParametersAtomically.Request(parameters=parameters_of(given))
-        return self.call(SetParametersAtomically, 'set_parameters_atomically', request).result
-
-    def change_state(self, transition: int) -> bool:
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return self.call(ChangeState, 'change_state', request).success
-
-
-def plan_message(regions: Sequence[Region], header: Header) -> Detection2DArray:
-    """Write regions as the conversion node does."""
-    rows = [((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, 0.0) for x0, y0, x1, y1 in regions]
-    message = detections(rows)
-    message.header = header
-    return message
 
 
 def pixels_of(chip: CompressedImage) -> NDArray[Any]:
@@ -184,30 +49,21 @@ def place_of(info: CameraInfo) -> Region:
 @pytest.fixture
 def start(site: Site) -> Iterator[Callable[..., ChipNode]]:
     """Starts nodes that end with the test."""
-    nodes: list[ChipNode] = []
-
-    def _start(**parameters: Any) -> ChipNode:
-        nodes.append(ChipNode(site, **parameters))
-        return nodes[-1]
-
-    yield _start
-    for node in nodes:
-        node.close()
+    with ExitStack() as stack:
+        yield lambda **parameters: stack.enter_context(ChipNode(site, parameters))
 
 
 @pytest.fixture(scope='module')
 def shared(site: Site) -> Iterator[ChipNode]:
-    node = ChipNode(site, codec='png')
-    node.connect()
-    yield node
-    node.close()
+    with ChipNode(site, {'codec': 'png'}) as node:
+        node.connect()
+        yield node
 
 
 @pytest.fixture
 def node(shared: ChipNode) -> ChipNode:
     """The module's node, with PNG and without a budget."""
-    result = shared.set(codec='png', lossless=False, quality=85, cache__max_age=2.0)
-    assert result.successful
+    shared.set({'codec': 'png', 'lossless': False, 'quality': 85, 'cache.max_age': 2.0})
     shared.forget()
     return shared
 
@@ -249,7 +105,7 @@ def test_rows_may_be_padded_and_bytes_in_either_order(node: ChipNode) -> None:
     rows[:, : 2 * WIDTH] = seen.astype('>u2').view(np.uint8)
     image = image_message('mono16', rows, header)
     image.width, image.step, image.is_bigendian = WIDTH, 2 * WIDTH + 5, 1
-    node.send_image(image)
+    node.images.publish(image)
     node.send_plan([(10, 20, 31, 41)], header)
     node.wait(lambda: node.chips, 'a chip')
     np.testing.assert_array_equal(pixels_of(node.chips[0]), seen[20:41, 10:31])
@@ -260,7 +116,7 @@ def test_image_and_plan_may_come_in_either_order(node: ChipNode, image_first: bo
     headers = [node.stamp(), node.stamp()]
     image = [image_message('mono8', np.zeros((8, 8), np.uint8), header) for header in headers]
     # The second frame's parts overtake those of the first.
-    steps = [lambda i=i: node.send_image(image[i]) for i in (0, 1)]
+    steps = [lambda i=i: node.images.publish(image[i]) for i in (0, 1)]
     plans = [lambda i=i: node.send_plan([(0, 0, 4, 4)], headers[i]) for i in (1, 0)]
     for step in steps + plans if image_first else plans + steps:
         step()
@@ -275,12 +131,12 @@ def test_what_never_meets_comes_twice_or_has_no_stamp_is_counted_and_nothing_sta
     image = image_message('mono8', np.zeros((8, 8), np.uint8), Header())
     region: list[Region] = [(0, 0, 4, 4)]
     # No stamp.
-    node.send_image(image)
+    node.images.publish(image)
     node.send_plan(region, Header())
     # Never meet. The middleware keeps ten that the node has not taken yet.
     for _ in range(20):
         image.header = node.stamp()
-        node.send_image(image)
+        node.images.publish(image)
         node.peer.spin(0.01)
     for _ in range(5):
         node.send_plan(region * 3, node.stamp())
@@ -288,8 +144,8 @@ def test_what_never_meets_comes_twice_or_has_no_stamp_is_counted_and_nothing_sta
     image.header = node.stamp()
     node.send_plan(region, image.header)
     node.send_plan(region, image.header)
-    node.send_image(image)
-    node.send_image(image)
+    node.images.publish(image)
+    node.images.publish(image)
     node.wait(lambda: node.chips, 'a chip')
     changed: dict[str, float] = {}
 
@@ -325,7 +181,7 @@ def test_an_image_that_cannot_be_cut_is_refused_with_a_reason_and_the_node_lives
     before = node.counts()
     node.send(np.zeros((8, 8, 4), np.uint8), '32FC1', [(0, 0, 4, 4)])
     node.wait(lambda: "encoding '32FC1' cannot be cut" in node.process.log, 'a warning')
-    assert node.set(codec='jpeg').successful
+    node.set({'codec': 'jpeg'})
     node.send(np.zeros((8, 8), np.uint16), 'mono16', [(0, 0, 4, 4)])
     node.send(np.zeros((8, 8), np.uint8), 'mono8', [(0, 0, 4, 4)])
     node.wait(lambda: node.chips, 'a chip')
@@ -357,8 +213,8 @@ def test_a_plan_for_another_image_is_said(start: Callable[..., ChipNode]) -> Non
 
 def test_what_is_no_message_is_counted(node: ChipNode) -> None:
     before = node.counts()
-    node._image.publish(b'\0\1\0\0' + bytes(5))
-    node._plan.publish(b'\0\1\0\0' + bytes(5))
+    node.images.publish(b'\0\1\0\0' + bytes(5))
+    node.plans.publish(b'\0\1\0\0' + bytes(5))
     node.wait(
         lambda: node.counts().since(before).get('messages_unreadable') == 2, 'both are counted'
     )
@@ -367,7 +223,7 @@ def test_what_is_no_message_is_counted(node: ChipNode) -> None:
 
 
 def test_settings_that_do_not_fit_are_refused_and_change_nothing(node: ChipNode) -> None:
-    result = node.set(codec='jpeg', lossless=True)
+    result = node.set_atomically({'codec': 'jpeg', 'lossless': True})
     assert not result.successful
     assert 'lossless: jpeg cannot be' in result.reason
     node.send(np.zeros((8, 8), np.uint8), 'mono8', [(0, 0, 4, 4)])
@@ -381,7 +237,7 @@ def test_the_budget_of_the_link_holds_and_every_chip_is_accounted_for(
     rate, burst = 20_000.0, 10_000.0
     node = start(codec='png')
     node.connect()
-    assert node.set(budget__bytes_per_second=rate, budget__burst=burst).successful
+    node.set({'budget.bytes_per_second': rate, 'budget.burst': burst})
     before = node.counts()
     noise = np.random.default_rng(2).integers(0, 256, (480, 640)).astype(np.uint8)
     places = np.random.default_rng(3).integers(0, (600, 440), (200, 2)).tolist()
@@ -391,7 +247,7 @@ def test_the_budget_of_the_link_holds_and_every_chip_is_accounted_for(
     began = time.monotonic()
     for frame in range(25):
         node.send(noise, 'mono8', regions)
-        node.wait(lambda until=began + 0.1 * frame: time.monotonic() > until, 'the next frame')
+        node.peer.spin_to(began + 0.1 * frame)
     changed: dict[str, float] = {}
 
     def all_told() -> bool:
@@ -405,13 +261,13 @@ def test_the_budget_of_the_link_holds_and_every_chip_is_accounted_for(
     assert changed['chips_sent'] + dropped == 25 * 200
     sizes = [len(chip.data) for chip in node.chips]
     assert sum(sizes) == changed['bytes_sent']
-    # What arrives together may have been sent a little apart.
+    # A chip is published a little after it was taken from the budget.
     slack = 0.2 * rate
     for i, j in itertools.combinations_with_replacement(range(len(sizes)), 2):
-        window = node.arrivals[j] - node.arrivals[i]
+        window = node.sent[j] - node.sent[i]
         assert sum(sizes[i : j + 1]) <= rate * window + burst + slack
     # The link was used, and by the most valuable of each frame.
-    assert sum(sizes) > 0.5 * rate * (node.arrivals[-1] - node.arrivals[0])
+    assert sum(sizes) > 0.5 * rate * (node.sent[-1] - node.sent[0])
     by_frame: dict[int, list[int]] = {}
     for info in node.infos:
         by_frame.setdefault(info.header.stamp.sec, []).append(order[place_of(info)])
@@ -449,14 +305,14 @@ def side_that_takes(seconds: float) -> int:
 
 @pytest.mark.parametrize('stall', [0.6, 0.9])
 def test_no_frame_is_lost_to_a_stall(node: ChipNode, stall: float) -> None:
-    node.set(codec='jpeg2000', lossless=True)
+    node.set({'codec': 'jpeg2000', 'lossless': True})
     # A chip that takes as long to encode, amid frames that take none.
     side = side_that_takes(stall)
     large = np.random.default_rng(1).integers(0, 256, (side, side, 3)).astype(np.uint8)
     small = np.zeros((512, 512, 3), np.uint8)
     started, sent = time.monotonic(), set()
     for i in range(50):
-        node.peer.spin_until(lambda i=i: time.monotonic() >= started + 0.1 * i, 'the next frame')
+        node.peer.spin_to(started + 0.1 * i)
         pixels, size = (large, side) if i == 20 else (small, 8)
         sent.add(node.send(pixels, 'rgb8', [(0, 0, size, size)]).stamp.sec)
     node.wait(lambda: sent <= {chip.header.stamp.sec for chip in node.chips}, 'fifty chips')
@@ -474,7 +330,7 @@ def test_a_bag_that_loops_gives_its_chips_each_time_and_says_so(
     for _ in range(3):
         node.forget()
         for header in headers:
-            node.send_image(image_message('mono8', pixels, header))
+            node.images.publish(image_message('mono8', pixels, header))
             node.send_plan([(0, 0, 4, 4)], header)
             time.sleep(0.03)
         node.wait(lambda: len(node.chips) == 30, 'thirty chips')
@@ -488,26 +344,20 @@ def test_the_whole_chain_runs_from_a_folder(site: Site, tmp_path: Any) -> None:
     random = np.random.default_rng(4)
     seen = random.integers(0, 256, (labels.size[1], labels.size[0], 3)).astype(np.uint8)
     Picture.fromarray(seen).save(tmp_path / 'harbour.png')
-    node = ChipNode(site, codec='png')
-    player = None
-    try:
+    with ChipNode(site, {'codec': 'png'}) as node:
         node.connect()
         # What the test itself sent to get connected would be a second camera.
-        for publisher in (node._image, node._plan):
+        for publisher in (node.images, node.plans):
             node.peer.node.destroy_publisher(publisher)
         with Converter(site, namespace=node.namespace) as converter:
             plans = node.peer.collect(Detection2DArray, 'crop_regions')
             converter.connect()
-            player = run_player(
-                site, node.namespace, {'path': tmp_path, 'rate': 2.0, 'loop': True}
-            )
-            node.wait(lambda: len(node.chips) >= 30, 'chips')
+            parameters = {'path': tmp_path, 'rate': 2.0, 'loop': True}
+            player = {'namespace': node.namespace, 'parameters': parameters}
+            with site.start('play_detections', **player):
+                node.wait(lambda: min(len(node.chips), len(node.infos)) >= 30, 'chips')
             assert plans
         for chip, info in zip(node.chips, node.infos, strict=False):
             x0, y0, x1, y1 = place_of(info)
             assert chip.header == info.header
             np.testing.assert_array_equal(pixels_of(chip), seen[y0:y1, x0:x1])
-    finally:
-        if player:
-            player.close()
-        node.close()

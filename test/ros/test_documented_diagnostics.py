@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import ChipNode
 from harness import Converter
 from harness import Site
 from harness import values_of
 from lifecycle_msgs.msg import Transition
 from ships import detections
 from ships import fleet
-from test_chip_extractor import ChipNode
 from vision_msgs.msg import Detection2DArray
 
 DOC = Path(__file__).parents[2] / 'doc'
@@ -60,13 +60,13 @@ def test_every_key_of_the_conversion_node_is_explained(start: Callable[..., Conv
 
 
 def test_every_key_of_the_chip_node_is_explained(site: Site) -> None:
-    node = ChipNode(site, codec='png', **{'cache.max_age': 0.5, 'budget.max_chips': 2})
-    try:
+    parameters = {'codec': 'png', 'cache.max_age': 0.5, 'budget.max_chips': 2}
+    with ChipNode(site, parameters) as node:
         node.connect()
         pixels = np.zeros((8, 8), np.uint8)
         node.send(pixels, 'mono8', [(0, 0, 4, 4), (100, 100, 104, 104), *[(0, 0, 8, 8)] * 3])
         node.send(pixels, 'strange', [(0, 0, 4, 4)])
-        node._image.publish(b'\0\1\0\0' + bytes(5))
+        node.images.publish(b'\0\1\0\0' + bytes(5))
         node.send_plan([(0, 0, 4, 4)], node.stamp())
         node.wait(lambda: node.counts()['chips_dropped.crop_plan_expired'], 'a lonely plan')
         assert not node.counts()['chips_waiting']
@@ -76,5 +76,3 @@ def test_every_key_of_the_chip_node_is_explained(site: Site) -> None:
             'chips_dropped.outside_image', 'crop_plans_dropped.expired', 'budget_available',
         } <= set(keys)
         assert not unexplained(keys, 'chip_extractor.md')
-    finally:
-        node.close()

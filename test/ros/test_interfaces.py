@@ -3,22 +3,19 @@
 
 import ctypes
 import struct
-import time
 from typing import Any
 
 import pytest
-import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point
 from geometry_msgs.msg import Pose
 from geometry_msgs.msg import PoseWithCovariance
 from geometry_msgs.msg import Quaternion
+from harness import Peer
+from harness import Site
 from polygon_msgs.msg import Point2D as PolygonPoint
 from polygon_msgs.msg import Polygon2D
 from polygon_msgs.msg import Polygon2DCollection
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
@@ -50,7 +47,6 @@ ANY = None
 
 # A late subscriber gets the message too, so that one is enough.
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-PATIENCE = 30.0
 
 DETECTIONS = Detection2DArray(
     header=Header(stamp=Time(sec=1700000000, nanosec=123456789), frame_id='camera'),
@@ -170,23 +166,12 @@ def test_cdr_laid_out_by_hand_is_read_as_the_message(
 
 # More than serialization: the middleware also registers the type, by other type supports.
 @pytest.mark.parametrize('message', [DETECTIONS, POLYGONS], ids=lambda each: type(each).__name__)
-def test_message_and_type_hash_travel(message: Any) -> None:
-    context, received = Context(), []
-    rclpy.init(context=context)
-    node = Node('test_interfaces', context=context, start_parameter_services=False)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
-        node.create_subscription(type(message), '~/example', received.append, KEPT)
-        node.create_publisher(type(message), '~/example', KEPT).publish(message)
-        deadline = time.monotonic() + PATIENCE
-        while not received and time.monotonic() < deadline:
-            executor.spin_once(timeout_sec=0.1)
-        publishers = node.get_publishers_info_by_topic('~/example')
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
+def test_message_and_type_hash_travel(site: Site, message: Any) -> None:
+    with Peer(site.context, '/test_interfaces') as peer:
+        received = peer.collect(type(message), 'example', KEPT)
+        peer.node.create_publisher(type(message), 'example', KEPT).publish(message)
+        peer.spin_until(lambda: received, 'the message')
+        publishers = peer.node.get_publishers_info_by_topic('/test_interfaces/example')
     assert received[:1] == [message]
     package = type(message).__module__.split('.', maxsplit=1)[0]
     expected = RELEASED[package, type(message).__name__]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -80,6 +81,8 @@ def test_with_autostart_the_node_is_active_by_itself(start: Start) -> None:
 
 
 def test_without_autostart_it_is_unconfigured_and_has_no_topics(managed: Converter) -> None:
+    # Longer than it takes to discover topics, and for an active node to report.
+    managed.peer.spin_to(time.monotonic() + 1.5)
     assert outputs(managed) == []
     assert inputs(managed) == 0
     assert managed.reports() == []

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Mapping
-from itertools import chain
 from itertools import pairwise
 from typing import Any
 
@@ -379,7 +378,7 @@ def test_class_rules_are_described_and_checked_like_the_others(node: Converter) 
     names = [spec.name.replace('<id>', 'tug') for spec in OBB_TO_HBB.class_rows]
     assert all(description.description for description in node.describe(*names))
     bad = {'method': 'none', 'q': 0.5, 'f': 3.0, 's': float('nan')}
-    for name, value in chain(bad.items()):
+    for name, value in bad.items():
         result = node.set_atomically({f'classes.tug.{name}': value})
         assert not result.successful
         assert f'classes.tug.{name}' in result.reason
@@ -391,9 +390,9 @@ def test_many_classes_come_and_go_without_a_trace(start: Callable[..., Converter
     node.connect()
     before = len(node.next_report().values)
     names = [f'class {i}.ü' for i in range(count)]
-    started = time.monotonic()
+    spent = node.process.cpu_seconds()
     node.set({'class_ids': names})
-    assert time.monotonic() - started < 2.0
+    assert node.process.cpu_seconds() - spent < 2.0
     node.set({f'classes.{names[-1]}.method': 'midpoint'})
     np.testing.assert_array_equal(
         convert_classes(node, [names[0], names[-1]]), under(HullRule(), HullRule('midpoint'))

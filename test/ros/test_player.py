@@ -3,19 +3,18 @@
 
 from __future__ import annotations
 
-import itertools
-import os
 import signal
 from collections.abc import Callable
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from harness import Converter
+from harness import Node
 from harness import NodeProcess
-from harness import Peer
 from harness import Site
 from PIL import Image as Picture
 from sensor_msgs.msg import CameraInfo
@@ -54,21 +53,17 @@ ROWS = [(30.0, 25.0, 40.0, 10.0, 0.0), (95.5, 230.0, 60.0, 10.0, np.pi / 2)]
 Play = Callable[..., 'Player']
 Put = Callable[[str, str], Path]
 
-_numbers = itertools.count()
 
-
-class Player:
-    """The node `play_detections` in a process of its own, and a peer that listens to it."""
+class Player(Node):
+    """The node `play_detections` and a peer that listens to it."""
 
     def __init__(self, site: Site, **parameters: Any) -> None:
-        number = next(_numbers)
-        namespace = f'/player_{os.getpid()}_{number}'
+        super().__init__(site, 'play_detections')
         output_type = INPUT_TYPES[parameters.get('output_type', 'Detection2DArray')]
-        self.peer = Peer(site.context, namespace)
         # Size and labels are listened to before the player may count its subscribers.
         self.infos = self.peer.collect(CameraInfo, 'camera_info')
         self.messages = self.peer.collect(message_type(output_type), output_type.topic)
-        self.process = run_player(site, namespace, {'rate': 50.0, **parameters})
+        self.start(parameters={'rate': 50.0, **parameters})
 
     @property
     def log(self) -> str:
@@ -80,12 +75,6 @@ class Player:
         for _ in range(20):
             self.peer.spin()
         return self.process.wait()
-
-
-def run_player(site: Site, namespace: str, parameters: dict[str, Any]) -> NodeProcess:
-    log = site.folder / f'{namespace[1:]}.player'
-    given = {k: str(v) if isinstance(v, Path) else v for k, v in parameters.items()}
-    return NodeProcess('play_detections', log, ['-r', f'__ns:={namespace}'], given)
 
 
 @pytest.fixture(scope='module')
@@ -103,11 +92,9 @@ def play(site: Site) -> Iterator[Play]:
 
     yield _play
     for player in players:
-        if player.process.running:
-            player.process.send_signal(signal.SIGINT)
+        player.process.send_signal(signal.SIGINT)
     for player in players:
-        player.process.close()
-        player.peer.close()
+        player.close()
 
 
 @pytest.fixture(scope='module')
@@ -275,10 +262,10 @@ def test_images_beside_the_labels_are_published_with_their_stamp(
     ],
 )
 def test_what_cannot_be_played_ends_the_start_with_one_line(
-    site: Site, tmp_path: Path, parameters: dict[str, Any], texts: tuple[str, ...]
+    site: Site, parameters: dict[str, Any], texts: tuple[str, ...]
 ) -> None:
-    process = NodeProcess('play_detections', tmp_path / 'log', parameters=parameters)
-    assert process.wait() == 1
+    with site.start('play_detections', parameters=parameters) as process:
+        assert process.wait() == 1
     line = process.log.splitlines()[-1]
     assert line.startswith('cannot start: ')
     assert all(text in line for text in texts)
@@ -288,8 +275,8 @@ def test_what_cannot_be_played_ends_the_start_with_one_line(
 def test_an_empty_folder_ends_the_start(site: Site, tmp_path: Path) -> None:
     folder = tmp_path / 'labels'
     folder.mkdir()
-    process = NodeProcess('play_detections', tmp_path / 'log', parameters={'path': str(folder)})
-    assert process.wait() == 1
+    with site.start('play_detections', parameters={'path': folder}) as process:
+        assert process.wait() == 1
     assert f'cannot start: {folder}: no label file' in process.log
 
 
@@ -314,14 +301,17 @@ def boxes_sent(labels: ImageLabels, output_type: str) -> list[OrientedBoxes]:
 @pytest.fixture(scope='module')
 def play_to(site: Site) -> Iterator[Callable[..., None]]:
     """Plays to a node; players end with the module, all at once."""
-    players: list[NodeProcess] = []
+    with ExitStack() as stack:
+        players: list[NodeProcess] = []
 
-    def _play_to(node: Converter, **parameters: Any) -> None:
-        players.append(run_player(site, node.namespace, {'rate': 50.0, **parameters}))
+        def _play_to(node: Converter, **parameters: Any) -> None:
+            given = {'rate': 50.0, **parameters}
+            player = site.start('play_detections', namespace=node.namespace, parameters=given)
+            players.append(stack.enter_context(player))
 
-    yield _play_to
-    for player in players:
-        assert player.wait() == 0
+        yield _play_to
+        for player in players:
+            assert player.wait() == 0
 
 
 @pytest.mark.parametrize('output_type', INPUT_TYPES)

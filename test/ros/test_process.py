@@ -23,6 +23,7 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Converter
 from harness import NodeProcess
+from harness import Peer
 from harness import Site
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy
@@ -144,7 +145,9 @@ def test_two_nodes_in_two_namespaces_do_not_hear_each_other(start: Start) -> Non
     np.testing.assert_array_equal(
         rows_of(other.convert(detections(fleet(3)))), axis_aligned(fleet(3), HullRule('outer'))
     )
-    assert len(one.boxes) == len(other.boxes) == 1
+    for node in (one, other):
+        node.peer.spin_to(time.monotonic() + 0.5)
+        assert len(node.boxes) == 1
 
 
 # The end --------------------------------------------------------------------------------------
@@ -205,51 +208,40 @@ BURSTS = {
 @pytest.mark.parametrize('burst', BURSTS.values(), ids=BURSTS)
 @pytest.mark.parametrize('executable', EXECUTABLES)
 def test_however_often_and_whenever_signals_come_the_end_is_clean(
-    site: Site, tmp_path: Path, executable: str, burst: list[tuple[float, int]]
+    site: Site, executable: str, burst: list[tuple[float, int]]
 ) -> None:
     for moment in MOMENTS:
-        process = NodeProcess(executable, tmp_path / f'{moment}.log')
-        while not process.has_signals_in_hand:
-            time.sleep(0.001)
-        time.sleep(moment)
-        for pause, number in burst:
-            time.sleep(pause)
-            process.send_signal(number)
-        assert process.wait(SOON) == 0, (moment, process.log)
+        with site.start(executable) as process:
+            while not process.has_signals_in_hand:
+                time.sleep(0.001)
+            time.sleep(moment)
+            for pause, number in burst:
+                time.sleep(pause)
+                process.send_signal(number)
+            assert process.wait(SOON) == 0, (moment, process.log)
         assert not re.search('Traceback|rror|KeyboardInterrupt', process.log)
 
 
-def test_a_node_that_does_not_come_to_its_end_and_has_no_log_leaves_all_the_same() -> None:
-    code = (
-        'import time; from obbhbb_ros.nodes.stop import Stop; stop = Stop(); stop.patience = 1.5; '
-        'time.sleep(60)'
-    )
-    process = subprocess.Popen(['sh', '-c', f'exec {sys.executable} -c "{code}" 2>&-'])
-    time.sleep(1.0)
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(SOON) == 1
+STUCK = """
+import time; from obbhbb_ros.nodes.stop import Stop; stop = Stop(); stop.patience = 1.5
+print('stuck', flush=True); time.sleep(60)
+"""
 
 
-def test_a_node_that_does_not_come_to_its_end_says_where_it_is(
-    site: Site, tmp_path: Path
+@pytest.mark.parametrize('closed', ['', '2>&-'], ids=['with a log', 'without'])
+def test_a_node_that_does_not_come_to_its_end_leaves_and_says_where_it_is(
+    tmp_path: Path, closed: str
 ) -> None:
-    code = (
-        'import time; from obbhbb_ros.nodes.stop import Stop; stop = Stop(); stop.patience = 1.5\n'
-        'time.sleep(60)'
-    )
-    process = subprocess.Popen([sys.executable, '-c', code], stderr=subprocess.PIPE, text=True)
-    time.sleep(1.0)
-    process.send_signal(signal.SIGTERM)
-    _, text = process.communicate(timeout=SOON)
-    assert process.returncode == 1
-    assert 'not ended 1.5 s after a signal' in text
-    assert 'File "<string>", line 2' in text
-
-
-def cpu_seconds(node: Converter) -> float:
-    """Read how much the node's process has computed in its life."""
-    stat = Path(f'/proc/{node.process.pid}/stat').read_text().rpartition(')')[2].split()
-    return sum(map(int, stat[11:13])) / os.sysconf('SC_CLK_TCK')
+    shell = f'exec {sys.executable} -c "{STUCK}" {closed}'
+    with NodeProcess(['sh', '-c', shell], tmp_path / 'log') as process:
+        while 'stuck' not in process.log:
+            assert process.running
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(SOON) == 1
+        if not closed:
+            assert 'not ended 1.5 s after a signal' in process.log
+            assert 'File "<string>", line 3' in process.log
 
 
 @pytest.mark.skipif(not Path('/proc/self/stat').exists(), reason='needs Linux')
@@ -257,9 +249,9 @@ def test_a_node_with_nothing_to_do_does_next_to_nothing(start: Start) -> None:
     node = start()
     node.connect()
     node.next_report()
-    before = cpu_seconds(node)
+    before = node.process.cpu_seconds()
     node.wait(lambda: len(node.reports()) >= 4, 'three seconds')
-    assert cpu_seconds(node) - before < 0.3
+    assert node.process.cpu_seconds() - before < 0.3
 
 
 # What cannot start ----------------------------------------------------------------------------
@@ -278,12 +270,13 @@ BAD_PARAMETERS = [
 
 
 @pytest.fixture(scope='module')
-def failures(site: Site) -> list[NodeProcess]:
+def failures(site: Site) -> Iterator[list[NodeProcess]]:
     """Nodes that cannot start, at the same time."""
-    return [
-        NodeProcess('obb_to_hbb', site.folder / f'failure_{i}.log', parameters=parameters)
-        for i, (parameters, _) in enumerate(BAD_PARAMETERS)
-    ]
+    with contextlib.ExitStack() as stack:
+        yield [
+            stack.enter_context(site.start('obb_to_hbb', parameters=parameters))
+            for parameters, _ in BAD_PARAMETERS
+        ]
 
 
 @pytest.mark.parametrize('case', range(len(BAD_PARAMETERS)))
@@ -306,10 +299,10 @@ def test_bad_parameters_end_the_start_with_one_line(
     ],
 )
 def test_a_bad_command_line_ends_the_start_without_traceback(
-    site: Site, tmp_path: Path, arguments: list[str], text: str
+    site: Site, arguments: list[str], text: str
 ) -> None:
-    process = NodeProcess('obb_to_hbb', tmp_path / 'log', arguments)
-    assert process.wait() == 1
+    with site.start('obb_to_hbb', arguments=arguments) as process:
+        assert process.wait() == 1
     # A library of ROS may have logged something before.
     line = process.log.splitlines()[-1]
     assert line.startswith('cannot start: ')
@@ -440,13 +433,13 @@ def test_a_log_that_nobody_reads_stops_nothing(
     os.close(unread)
 
 
-def test_a_node_without_output_at_all_works(site: Site, tmp_path: Path) -> None:
-    command = f'exec {sys.executable} -m obbhbb_ros.nodes chip_extractor >&- 2>&-'
-    process = subprocess.Popen(['sh', '-c', command])
-    time.sleep(2.0)
-    assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    assert process.wait(SOON) == 0
+def test_a_node_without_output_at_all_works(site: Site) -> None:
+    command = 'exec "$0" -m obbhbb_ros.nodes chip_extractor "$@" >&- 2>&-'
+    mute = ['sh', '-c', command, sys.executable]
+    with NodeProcess(mute, namespace='/mute') as process, Peer(site.context, '/mute') as peer:
+        assert peer.publisher(Detection2DArray, 'crop_regions')
+        process.send_signal(signal.SIGINT)
+        assert process.wait(SOON) == 0
 
 
 def test_a_log_file_is_shared_with_whoever_else_writes_to_it(site: Site, tmp_path: Path) -> None:

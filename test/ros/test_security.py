@@ -9,7 +9,6 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-from harness import NodeProcess
 from harness import Peer
 from harness import Site
 
@@ -31,16 +30,14 @@ def absolute(name: str, node: str) -> str:
 
 @pytest.mark.parametrize('node', NODES)
 def test_the_policy_has_the_names_of_the_running_node(site: Site, node: str) -> None:
-    process = NodeProcess(node, site.folder / f'security_{node}.log')
-    peer = Peer(site.context, '/watching')
-    graph = peer.node
-    lists: dict[tuple[str, str], Callable[..., Any]] = {
-        ('topic', 'publish'): graph.get_publisher_names_and_types_by_node,
-        ('topic', 'subscribe'): graph.get_subscriber_names_and_types_by_node,
-        ('service', 'reply'): graph.get_service_names_and_types_by_node,
-        ('service', 'request'): graph.get_client_names_and_types_by_node,
-    }
-    try:
+    with site.start(node), Peer(site.context, '/watching') as peer:
+        graph = peer.node
+        lists: dict[tuple[str, str], Callable[..., Any]] = {
+            ('topic', 'publish'): graph.get_publisher_names_and_types_by_node,
+            ('topic', 'subscribe'): graph.get_subscriber_names_and_types_by_node,
+            ('service', 'reply'): graph.get_service_names_and_types_by_node,
+            ('service', 'request'): graph.get_client_names_and_types_by_node,
+        }
         peer.spin_until(lambda: (node, '/') in graph.get_node_names_and_namespaces(), node)
         for (kind, action), names in lists.items():
             expected = allowed(node, kind, action)
@@ -48,9 +45,6 @@ def test_the_policy_has_the_names_of_the_running_node(site: Site, node: str) -> 
                 lambda names=names, expected=expected: {n for n, _ in names(node, '/')} == expected,
                 f'{expected} in the graph, not {names(node, "/")}',
             )
-    finally:
-        process.close()
-        peer.close()
 
 
 def test_the_operator_may_ask_for_every_service_and_nobody_else_for_any() -> None:

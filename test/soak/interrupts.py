@@ -15,41 +15,35 @@ import argparse
 import os
 import random
 import signal
-import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from harness import Site
+from harness import site_at
+
 EXECUTABLES = ('obb_to_hbb', 'chip_extractor', 'play_detections')
 
 
-def blocks_signals(pid: int) -> bool:
-    """Tell whether a process has reached its first line, which blocks SIGINT."""
-    status = Path(f'/proc/{pid}/status').read_text(encoding='ascii')
-    (mask,) = (line.split()[1] for line in status.splitlines() if line.startswith('SigBlk'))
-    return bool(int(mask, 16) >> (signal.SIGINT - 1) & 1)
-
-
-def interrupted(executable: str, source: random.Random) -> str:
+def interrupted(site: Site, executable: str, source: random.Random) -> str:
     """Start, interrupt twice, and tell how it ended."""
-    process = subprocess.Popen(
-        [sys.executable, '-m', 'obbhbb_ros.nodes', executable],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        env={**os.environ, 'RCUTILS_LOGGING_MIN_SEVERITY': 'WARN'},
-    )
-    time.sleep(source.uniform(0.0, 2.0))
-    early = not blocks_signals(process.pid)
-    process.send_signal(signal.SIGINT)
-    time.sleep(source.uniform(0.0, 0.05))
-    process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=30)
+    with site.start(executable) as process:
+        time.sleep(source.uniform(0.0, 2.0))
+        early = not process.has_signals_in_hand
+        process.send_signal(signal.SIGINT)
+        time.sleep(source.uniform(0.0, 0.05))
+        process.send_signal(signal.SIGINT)
+        code = process.wait()
     if early:
         return 'before the first line'
-    loud = [line for line in output.splitlines() if '[INFO]' not in line]
-    if process.returncode == 0 and not loud:
+    loud = [line for line in process.log.splitlines() if '[INFO]' not in line]
+    if code == 0 and not loud:
         return 'clean'
-    print(f'{executable}: exit code {process.returncode}\n{output}', file=sys.stderr)
+    print(f'{executable}: exit code {code}\n{process.log}', file=sys.stderr)
     return 'unclean'
 
 
@@ -61,10 +55,12 @@ def main() -> None:
     options = parser.parse_args()
     source = random.Random(options.seed)
     good = True
-    for executable in EXECUTABLES:
-        ends = Counter(interrupted(executable, source) for _ in range(options.count))
-        print(f'{executable}: {dict(ends)}', flush=True)
-        good = good and not ends['unclean']
+    os.environ['RCUTILS_LOGGING_MIN_SEVERITY'] = 'WARN'
+    with tempfile.TemporaryDirectory() as folder, site_at(Path(folder)) as site:
+        for executable in EXECUTABLES:
+            ends = Counter(interrupted(site, executable, source) for _ in range(options.count))
+            print(f'{executable}: {dict(ends)}', flush=True)
+            good = good and not ends['unclean']
     sys.exit(0 if good else 1)
 
 

@@ -162,7 +162,11 @@ def test_ctrl_c_ends_a_command_in_silence(ships: Path, arguments: list[str]) -> 
             signal.SIGINT, signal.default_int_handler
         ),
     )
-    time.sleep(0.5)
+    # Before NumPy is loaded, Python itself may be interrupted.
+    while 'numpy' not in Path(f'/proc/{process.pid}/maps').read_text():
+        assert process.poll() is None
+        time.sleep(0.01)
+    time.sleep(0.3)
     process.send_signal(signal.SIGINT)
     _, printed = process.communicate(timeout=60)
     assert process.returncode == 130

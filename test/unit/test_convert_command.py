@@ -120,9 +120,11 @@ def test_every_format_goes_in(
 
 
 def test_every_parameter_of_the_conversion_counts(source: Path, tmp_path: Path) -> None:
+    # The caps bind this one only.
+    (source / 'P3.txt').write_text('0 0 100 0 100 30 0 30 ship 0\n')
     path = tmp_path / 'out.csv'
     parameters = {
-        'method': 'shape_aware', 'q': 2.2, 'f': 0.9, 's': 1.1, 'max_length': 40, 'max_width': 11,
+        'method': 'shape_aware', 'q': 4.0, 'f': 0.9, 's': 1.1, 'max_length': 80, 'max_width': 25,
     }  # fmt: skip
     options = [
         text
@@ -130,8 +132,12 @@ def test_every_parameter_of_the_conversion_counts(source: Path, tmp_path: Path) 
         for text in (f'--{name.replace("_", "-")}', value)
     ]
     assert _run(source, path, *options) == 0
-    for labels, xyxy in zip(read_labels(path), _expected(source, **parameters), strict=True):
+    expected = _expected(source, **parameters)
+    for labels, xyxy in zip(read_labels(path), expected, strict=True):
         np.testing.assert_array_equal(labels.reference, xyxy)
+    for name in parameters:
+        without = _expected(source, **{k: v for k, v in parameters.items() if k != name})
+        assert (np.vstack(without) != np.vstack(expected)).any(), name
 
 
 def test_diagnostics_are_columns(source: Path, tmp_path: Path) -> None:
@@ -186,10 +192,10 @@ def test_images_without_ships_are_no_error(source: Path, tmp_path: Path) -> None
     ('options', 'message'),
     [
         (['--to', 'dota'], "cannot write axis-aligned boxes as 'dota': use yolo"),
-        (['--to', 'yolo', '--diagnostics'], 'no place for diagnostics'),
+        (['--to', 'yolo', '--diagnostics'], 'cannot hold diagnostics'),
         (['--to', 'yolo'], "image 'P1': YOLO needs its size"),
         (['--from', 'labelme', '--to', 'csv'], "unknown label format 'labelme'"),
-        ([], 'name the label format to write'),
+        ([], 'give the label format to write'),
         (['--to', 'csv', '--q', '0.5'], 'q must be in [1, inf]'),
         (['--to', 'csv', '--method', 'magic'], 'magic'),
         (['--to', 'csv', '--max-length', '-1'], 'max_length must be positive'),

@@ -71,7 +71,7 @@ def test_without_a_rate_there_is_no_bound_and_setting_one_starts_from_nothing() 
 
 def test_more_than_there_is_cannot_be_spent() -> None:
     bucket = TokenBucket(BudgetSettings(100.0), 0.0)
-    with pytest.raises(ValueError, match='101 bytes are more than the 100 left'):
+    with pytest.raises(ValueError, match='101 bytes exceed the 100 available'):
         bucket.spend(101, 0.0)
 
 

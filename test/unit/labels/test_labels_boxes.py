@@ -162,7 +162,7 @@ def test_diagnostics_are_columns_and_what_is_unknown_is_empty(
 def test_formats_without_a_place_for_diagnostics_refuse_them(
     tmp_path: Path, format_name: str
 ) -> None:
-    with pytest.raises(ValueError, match='no place for diagnostics: use csv'):
+    with pytest.raises(ValueError, match='cannot hold diagnostics: use csv'):
         write_boxes(tmp_path / 'out', [_boxes('P1', BOX, diagnosed=True)], format_name)
     assert list(tmp_path.iterdir()) == []
 
@@ -241,8 +241,8 @@ def test_what_a_format_cannot_hold_is_refused_and_nothing_written(
 @pytest.mark.parametrize(
     ('name', 'format_name', 'message'),
     [
-        ('out', None, 'name the label format'),
-        ('out.pdf', None, 'name the label format'),
+        ('out', None, 'give the label format'),
+        ('out.pdf', None, 'give the label format'),
         ('out', 'dota', "cannot write axis-aligned boxes as 'dota': use yolo"),
         ('out', 'labelme', "unknown label format 'labelme'"),
         ('out.json', 'shapefile', r'ends in \.shp'),

@@ -93,7 +93,7 @@ def test_the_suffix_names_the_format_where_only_one_has_it(make: Make, tmp_path:
 
 @pytest.mark.parametrize('name', ['a.txt', 'labels', 'a.json'])
 def test_otherwise_the_format_has_to_be_named(make: Make, tmp_path: Path, name: str) -> None:
-    with pytest.raises(ValueError, match=r'name the label format.*dota.*csv') as caught:
+    with pytest.raises(ValueError, match=r'give the label format.*dota.*csv') as caught:
         write_labels(tmp_path / name, [make()])
     assert str(tmp_path / name) in str(caught.value)
 

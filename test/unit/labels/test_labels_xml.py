@@ -173,7 +173,7 @@ def test_the_given_image_size_wins_and_an_unusable_one_counts_as_none(put: Put) 
     [
         (f'<object>{BNDBOX}</object>', 'no <name>'),
         (_object(''), 'neither <bndbox> nor <robndbox>'),
-        (_object(BNDBOX.replace('190.5', '8')), 'inside out'),
+        (_object(BNDBOX.replace('190.5', '8')), 'below its minimum'),
         (_object(BNDBOX.replace('190.5', 'x')), "<xmax>: 'x' is not a number"),
         (_object('<robndbox/>'), 'no <cx> in <robndbox>'),
         (_object(DIOR.replace('<y_left_top>20</y_left_top>', '')), 'no <y_left_top>'),

@@ -272,7 +272,7 @@ def test_halves_share_no_image(real) -> None:
 
 @pytest.mark.parametrize('folds', [0, 1, 99])
 def test_folds_that_cannot_be_filled_are_refused(real, folds) -> None:
-    with pytest.raises(ValueError, match='cannot be dealt out'):
+    with pytest.raises(ValueError, match='cannot be split'):
         folds_of(real, folds)
 
 

@@ -115,7 +115,7 @@ def test_without_refinement_a_setting_of_the_grid_is_written(tmp_path) -> None:
         ([], 'give either label files or --synthetic'),
         ([str(REAL), '--synthetic'], 'give either label files or --synthetic'),
         ([str(REAL), '--objective', 'coverage', '--share', '0.99'], 'ships are too few'),
-        ([str(REAL), '--folds', '500'], 'images cannot be dealt out to 500 folds'),
+        ([str(REAL), '--folds', '500'], 'images cannot be split into 500 folds'),
         (['no/such/file.csv'], 'no/such/file.csv'),
     ],
 )

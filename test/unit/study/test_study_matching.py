@@ -90,7 +90,7 @@ def test_references_that_are_not_there_match_nothing() -> None:
 
 
 def test_images_of_one_bare_name_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"'train/a\.png' and 'val/a\.png' cannot be told apart"):
+    with pytest.raises(ValueError, match=r"'train/a\.png' and 'val/a\.png' have the same name"):
         match_references([], [make(name, (0, 0, 9, 4)) for name in ('train/a.png', 'val/a.png')])
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from polygon_msgs.msg import Point2D
 from polygon_msgs.msg import Polygon2D
 from polygon_msgs.msg import Polygon2DCollection
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2D
 from vision_msgs.msg import Detection2DArray
@@ -61,6 +62,22 @@ def detections(rows: Any, **kwargs: Any) -> Detection2DArray:
     rows = np.asarray(rows, np.float64).reshape(-1, 5).tolist()
     header = Header(frame_id='camera')
     return Detection2DArray(header=header, detections=[detection(r, **kwargs) for r in rows])
+
+
+def detector_message(count: int, side: int = 4096) -> bytes:
+    """Write `count` detections of an image as a detector would: classes and ids differ."""
+    random = np.random.default_rng(count)
+    array = Detection2DArray(header=Header(frame_id='camera'))
+    for i in range(count):
+        row = (
+            *random.uniform(100, side - 96, 2), random.uniform(20, 200), random.uniform(5, 50),
+            random.uniform(-3, 3),
+        )
+        class_id = ('ship', 'tug', 'tanker')[random.integers(3)]
+        each = detection(row, class_id, random.uniform(), str(i))
+        each.header = array.header
+        array.detections.append(each)
+    return serialize_message(array)
 
 
 def collection(polygons: Iterable[Sequence[Sequence[float]]]) -> Polygon2DCollection:

@@ -1,0 +1,593 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes in processes of their own, and a peer that talks to them over DDS."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
+from collections.abc import Mapping
+from collections.abc import Sequence
+from contextlib import contextmanager
+from contextlib import nullcontext
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from typing import NamedTuple
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from lifecycle_msgs.srv import GetAvailableTransitions
+from lifecycle_msgs.srv import GetState
+from numpy.typing import NDArray
+from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import DescribeParameters
+from rcl_interfaces.srv import GetParameters
+from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import QoSProfile
+from rclpy.task import Future
+from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CompressedImage
+from sensor_msgs.msg import Image
+from ships import detections
+from std_msgs.msg import Header
+from vision_msgs.msg import Detection2DArray
+
+from obbhbb_ros.nodes.documentation import yaml_value
+from obbhbb_ros.nodes.managed import message_type
+from obbhbb_ros.nodes.play_detections import image_message
+from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.wire.layouts import INPUT_TYPES
+
+# The last one is called first.
+SERVICES = {
+    'set_parameters': SetParameters,
+    'set_parameters_atomically': SetParametersAtomically,
+    'get_parameters': GetParameters,
+    'describe_parameters': DescribeParameters,
+    'change_state': ChangeState,
+    'get_available_transitions': GetAvailableTransitions,
+    'get_state': GetState,
+}
+
+# Far more than anything takes, for machines that are busy with something else.
+TIMEOUT = 30.0
+RELIABLE = QoSProfile(depth=1000)
+
+Region = tuple[int, int, int, int]
+
+_numbers = itertools.count()
+
+
+class Closing:
+    """What is closed at the end of a `with` block."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class NodeProcess(Closing):
+    """
+    An executable of the package, as users run it, or any other command line of a node.
+
+    What it prints goes to the file `log`, or to the terminal. `arguments` and `parameters` go
+    behind `--ros-args`.
+    """
+
+    def __init__(
+        self,
+        executable: str | Sequence[str],
+        log: Path | None = None,
+        arguments: Sequence[str] = (),
+        parameters: Mapping[str, Any] | None = None,
+        namespace: str = '',
+    ) -> None:
+        if isinstance(executable, str):
+            executable = [sys.executable, '-m', 'obbhbb_ros.nodes', executable]
+        command = [*executable, '--ros-args']
+        for name, value in (parameters or {}).items():
+            given = str(value) if isinstance(value, Path) else value
+            command += ['-p', f'{name}:={yaml_value(given)}']
+        if namespace:
+            command += ['-r', f'__ns:={namespace}']
+        self.path = log
+        with log.open('wb') if log else nullcontext() as stream:
+            self._process = subprocess.Popen(
+                [*command, *arguments], stdout=stream, stderr=subprocess.STDOUT if log else None
+            )
+
+    @property
+    def log(self) -> str:
+        """What it has printed, as far as it goes to a file."""
+        return '' if self.path is None else self.path.read_text(encoding='utf-8', errors='replace')
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    @property
+    def running(self) -> bool:
+        return self._process.poll() is None
+
+    def send_signal(self, number: int) -> None:
+        self._process.send_signal(number)
+
+    @property
+    def has_signals_in_hand(self) -> bool:
+        """Whether the process blocks SIGINT, which is the first thing that it does."""
+        status = Path(f'/proc/{self.pid}/status').read_text(encoding='ascii')
+        (mask,) = (line.split()[1] for line in status.splitlines() if line.startswith('SigBlk'))
+        return bool(int(mask, 16) >> (signal.SIGINT - 1) & 1)
+
+    def cpu_seconds(self) -> float:
+        """Give the processor time that the process has used in its life."""
+        stat = Path(f'/proc/{self.pid}/stat').read_text().rpartition(')')[2].split()
+        return sum(map(int, stat[11:13])) / os.sysconf('SC_CLK_TCK')
+
+    def resident_megabytes(self) -> float:
+        """Give the memory that the process holds."""
+        pages = int(Path(f'/proc/{self.pid}/statm').read_text().split()[1])
+        return pages * os.sysconf('SC_PAGE_SIZE') / 2**20
+
+    def wait(self, timeout: float = TIMEOUT) -> int:
+        """Wait for the end and give the exit code."""
+        return self._process.wait(timeout)
+
+    def close(self) -> int:
+        """Leave nothing running, whatever happened, and give the exit code."""
+        self.send_signal(signal.SIGINT)
+        try:
+            return self.wait(10.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            return self.wait()
+
+
+class Site(NamedTuple):
+    """
+    Where nodes run: a folder for their logs, if they go to files, and a context for their peers.
+
+    One context for all: with one for each peer, discovery now and then takes three seconds longer.
+    """
+
+    context: Context
+    folder: Path | None = None
+
+    def start(self, executable: str, **kwargs: Any) -> NodeProcess:
+        """Start an executable of the package, with a log file of its own."""
+        log = self.folder / f'{executable}_{next(_numbers)}.log' if self.folder else None
+        return NodeProcess(executable, log, **kwargs)
+
+
+@contextmanager
+def site_at(folder: Path | None = None) -> Iterator[Site]:
+    """Give a site as long as the `with` block lasts."""
+    context = Context()
+    rclpy.init(context=context)
+    try:
+        yield Site(context, folder)
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+class Peer(Closing):
+    """Somebody else on the network, with a node of its own in a namespace."""
+
+    def __init__(self, context: Context, namespace: str) -> None:
+        self.node = rclpy.create_node('peer', namespace=namespace, context=context)
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self.node)
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+
+    def spin(self, seconds: float = 0.0) -> None:
+        """Take what has arrived, or arrives first within that time."""
+        self._executor.spin_once(timeout_sec=seconds)
+
+    def spin_to(self, moment: float) -> None:
+        """Take what arrives up to a moment of the monotonic clock."""
+        while (left := moment - time.monotonic()) > 0.0:
+            self.spin(left)
+
+    def spin_until(
+        self, condition: Callable[[], Any], what: str, timeout: float = TIMEOUT
+    ) -> None:
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > deadline:
+                raise TimeoutError(f'waited {timeout:g} s for {what}')
+            self.spin(0.02)
+
+    def repeat(self, seconds: float, *jobs: tuple[float, Callable[[], Any]]) -> None:
+        """Do each job once per period, for some time, and take what arrives between."""
+        started = time.monotonic()
+        due = [started + period for period, _ in jobs]
+        while (now := time.monotonic()) < started + seconds:
+            for i, (period, job) in enumerate(jobs):
+                if now >= due[i]:
+                    job()
+                    due[i] += period
+            self.spin_to(min(due))
+
+    def collect(
+        self, kind: Any, topic: str, qos: QoSProfile = RELIABLE, raw: bool = False
+    ) -> list[Any]:
+        """Subscribe, and give the list that messages will be put in."""
+        messages: list[Any] = []
+        self.node.create_subscription(kind, topic, messages.append, qos, raw=raw)
+        return messages
+
+    def publisher(self, kind: Any, topic: str, qos: QoSProfile = RELIABLE) -> Any:
+        """Create a publisher and wait until somebody listens to it."""
+        publisher = self.node.create_publisher(kind, topic, qos)
+        self.spin_until(publisher.get_subscription_count, f'a subscriber of {topic}')
+        return publisher
+
+
+class Node(Closing):
+    """
+    A node in a process and a namespace of its own, and a peer that talks to it.
+
+    The process runs from `start` on, so that the peer can subscribe before.
+    """
+
+    process: NodeProcess
+
+    def __init__(self, site: Site, executable: str, namespace: str = '') -> None:
+        self._site, self._executable = site, executable
+        self.namespace = namespace or f'/test_{os.getpid()}_{next(_numbers)}'
+        self.peer = Peer(site.context, self.namespace)
+        self._stamps = itertools.count(1)
+        self._heard = False
+        self._diagnostics = self.peer.collect(DiagnosticArray, '/diagnostics')
+
+    def start(
+        self, arguments: Sequence[str] = (), parameters: Mapping[str, Any] | None = None
+    ) -> None:
+        self.process = self._site.start(
+            self._executable, arguments=arguments, parameters=parameters, namespace=self.namespace
+        )
+
+    def close(self) -> None:
+        self.process.close()
+        self.peer.close()
+
+    # Waiting
+
+    def wait(self, condition: Callable[[], Any], what: str) -> None:
+        """Spin until something holds; give up at once if the node is gone."""
+
+        def holds() -> Any:
+            if not self.process.running:
+                raise ChildProcessError(f'the node ended before {what}: {self.process.log}')
+            return condition()
+
+        try:
+            self.peer.spin_until(holds, what)
+        except TimeoutError as error:
+            raise TimeoutError(f'{error}; the log of the node:\n{self.process.log}') from None
+
+    def wait_for(self, candidates: Callable[[], Iterable[Any]], what: str) -> Any:
+        """Spin until there is a first candidate, and give it."""
+        found: list[Any] = []
+
+        def holds() -> bool:
+            found.extend(itertools.islice(candidates(), 1))
+            return bool(found)
+
+        self.wait(holds, what)
+        return found[0]
+
+    def wait_for_log(self, *texts: str) -> str:
+        """Wait for a line of the log that holds all of the texts, and give it."""
+        return self.wait_for(
+            lambda: (
+                line for line in self.process.log.splitlines()
+                if all(text in line for text in texts)
+            ),
+            f'{texts} in the log',
+        )
+
+    def send_until(self, send: Callable[[], Any], condition: Callable[[], Any], what: str) -> None:
+        """
+        Send again and again until something holds.
+
+        The node's end of a topic may know of us a little later than we know of it.
+        """
+        again = 0.0
+
+        def holds() -> Any:
+            nonlocal again
+            if time.monotonic() > again:
+                send()
+                again = time.monotonic() + 0.1
+            return condition()
+
+        self.wait(holds, what)
+
+    # Services
+
+    @cached_property
+    def _clients(self) -> dict[str, Any]:
+        return {
+            service: self.peer.node.create_client(kind, f'{self._executable}/{service}')
+            for service, kind in SERVICES.items()
+        }
+
+    def call_async(self, service: str, request: Any) -> Future:
+        """Call a service of the node, once it is there."""
+        if not self._heard:
+            self._make_heard()
+        client = self._clients[service]
+        self.wait(client.service_is_ready, f'the service {service}')
+        return client.call_async(request)
+
+    def call(self, service: str, request: Any) -> Any:
+        """Call a service of the node and wait for the response."""
+        future = self.call_async(service, request)
+        self.wait(future.done, f'a response of {service}')
+        return future.result()
+
+    def _make_heard(self) -> None:
+        """
+        Wait until the node's responses find their way.
+
+        A node drops the response to a client that it has not discovered in full. It discovers
+        clients in the order of their creation, so a response to the last one is enough.
+        """
+        client = self._clients['get_state']
+        self.wait(client.service_is_ready, 'the services')
+        futures: list[Future] = []
+        self.send_until(
+            lambda: futures.append(client.call_async(GetState.Request())),
+            lambda: any(future.done() for future in futures),
+            'the first response',
+        )
+        self._heard = True
+
+    def set_one_by_one(self, values: Mapping[str, Any]) -> list[SetParametersResult]:
+        request = SetParameters.Request(parameters=parameters_of(values))
+        return list(self.call('set_parameters', request).results)
+
+    def set_atomically(self, values: Mapping[str, Any]) -> SetParametersResult:
+        request = SetParametersAtomically.Request(parameters=parameters_of(values))
+        return self.call('set_parameters_atomically', request).result
+
+    def set(self, values: Mapping[str, Any]) -> None:
+        """Set parameters that have to be accepted."""
+        result = self.set_atomically(values)
+        if not result.successful:
+            raise ValueError(result.reason)
+
+    def get(self, *names: str) -> list[Any]:
+        """Get parameters."""
+        request = GetParameters.Request(names=names)
+        response = self.call('get_parameters', request)
+        return [parameter_value_to_python(value) for value in response.values]
+
+    def describe(self, *names: str) -> list[ParameterDescriptor]:
+        request = DescribeParameters.Request(names=names)
+        response = self.call('describe_parameters', request)
+        return list(response.descriptors)
+
+    def state(self) -> str:
+        """Ask for the lifecycle state."""
+        return self.call('get_state', GetState.Request()).current_state.label
+
+    def change_state(self, transition: int) -> bool:
+        """Ask for a transition, and tell whether it succeeded."""
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return self.call('change_state', request).success
+
+    # Diagnostics
+
+    def reports(self) -> list[DiagnosticArray]:
+        """Give the node's own diagnostics that have arrived."""
+        name = f'{self.namespace}/{self._executable}'.lstrip('/')
+        return [array for array in self._diagnostics if array.status[0].name == name]
+
+    def next_report(self) -> DiagnosticStatus:
+        """Wait for diagnostics that are made after this moment."""
+        # One may have arrived already.
+        self.peer.spin()
+        self._diagnostics.clear()
+        self.wait(self.reports, 'diagnostics')
+        return self.reports()[0].status[0]
+
+    def counts(self) -> Counts:
+        """Give the numbers of the next diagnostics."""
+        return Counts(self.next_report())
+
+    def stamped(self, message: Any) -> int:
+        """Give a message a stamp that no other has."""
+        number = next(self._stamps)
+        message.header.stamp.sec, message.header.stamp.nanosec = number, 7 * number
+        return number
+
+
+class Converter(Node):
+    """
+    The node `obb_to_hbb` and a peer.
+
+    What the peer hears on `boxes` is in `boxes`, unless `listen` is false.
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        arguments: Sequence[str] = (),
+        parameters: Mapping[str, Any] | None = None,
+        namespace: str = '',
+        listen: bool = True,
+    ) -> None:
+        super().__init__(site, 'obb_to_hbb', namespace)
+        self._input_type = INPUT_TYPES[(parameters or {}).get('input_type', 'Detection2DArray')]
+        self.boxes = self.peer.collect(Detection2DArray, 'boxes') if listen else []
+        self.start(arguments, parameters)
+
+    @cached_property
+    def publisher(self) -> Any:
+        """The peer's publisher of the node's input."""
+        return self.peer.publisher(message_type(self._input_type), self._input_type.topic)
+
+    def connect(self, answers: list[Any] | None = None) -> None:
+        """
+        Send empty messages until one comes back on `boxes`, or wherever `answers` come from.
+
+        When this returns, nothing is on its way any more.
+        """
+        answers = self.boxes if answers is None else answers
+        sent: list[int] = []
+        self.send_until(
+            lambda: sent.append(self.send(message_type(self._input_type)())),
+            lambda: any(stamp_of(message) == sent[-1] for message in answers),
+            'the first answer',
+        )
+        answers.clear()
+
+    def send(self, message: Any) -> int:
+        """Publish a message, and give the stamp by which its answer is known."""
+        number = self.stamped(message)
+        self.publisher.publish(message)
+        return number
+
+    def answer_to(self, stamp: int, answers: list[Any] | None = None) -> Any:
+        """Wait for the answer to the message of that stamp."""
+        answers = self.boxes if answers is None else answers
+        return self.wait_for(
+            lambda: (message for message in answers if stamp_of(message) == stamp),
+            f'the answer to message {stamp}',
+        )
+
+    def convert(self, message: Any, answers: list[Any] | None = None) -> Any:
+        """Publish a message and wait for its answer."""
+        return self.answer_to(self.send(message), answers)
+
+    def reset(self) -> None:
+        """Go back to the default parameters and forget what was heard."""
+        self.set({spec.name: spec.default for spec in OBB_TO_HBB.rows if not spec.read_only})
+        self.boxes.clear()
+
+
+class ChipNode(Node):
+    """
+    The node `chip_extractor` and a peer.
+
+    What the peer hears is in `chips` and `infos`; when the node sent each chip is in `sent`.
+    """
+
+    def __init__(
+        self, site: Site, parameters: Mapping[str, Any] | None = None, namespace: str = ''
+    ) -> None:
+        super().__init__(site, 'chip_extractor', namespace)
+        self.chips: list[CompressedImage] = []
+        self.sent: list[float] = []
+        self.peer.node.create_subscription(CompressedImage, 'chip/compressed', self._note, 1000)
+        self.infos = self.peer.collect(CameraInfo, 'chip/camera_info')
+        self.start(parameters=parameters)
+
+    def _note(self, chip: CompressedImage, info: Mapping[str, int]) -> None:
+        self.chips.append(chip)
+        self.sent.append(info['source_timestamp'] / 1e9)
+
+    def connect(self) -> None:
+        """Wait until all topics are connected, both ways."""
+        self.images = self.peer.publisher(Image, 'image')
+        self.plans = self.peer.publisher(Detection2DArray, 'crop_regions')
+        self.send_until(
+            lambda: self.send(np.zeros((8, 8), np.uint8), 'mono8', [(0, 0, 4, 4)]),
+            lambda: self.chips and self.infos,
+            'a first chip',
+        )
+        self.counts()
+        self.counts()
+        self.forget()
+
+    def forget(self) -> None:
+        self.chips.clear()
+        self.infos.clear()
+        self.sent.clear()
+
+    def stamp(self) -> Header:
+        """Make a header that no other message has."""
+        header = Header(frame_id='bow_camera')
+        header.stamp.sec = next(self._stamps)
+        return header
+
+    def send_plan(self, regions: Sequence[Region], header: Header) -> None:
+        """Publish regions as the conversion node does."""
+        rows = [((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, 0) for x0, y0, x1, y1 in regions]
+        message = detections(rows)
+        message.header = header
+        self.plans.publish(message)
+
+    def send(self, pixels: NDArray[Any], encoding: str, regions: Sequence[Region]) -> Header:
+        """Publish an image and its plan."""
+        header = self.stamp()
+        self.images.publish(image_message(encoding, pixels, header))
+        self.send_plan(regions, header)
+        return header
+
+    def warned(self, text: str) -> bool:
+        """Tell whether diagnostics have said something at level WARN."""
+        return any(
+            text in status.message and status.level == DiagnosticStatus.WARN
+            for array in self._diagnostics for status in array.status
+        )
+
+
+class Counts(dict[str, float]):
+    """The numbers of a report by name, 0 for those that it does not have."""
+
+    def __init__(self, report: DiagnosticStatus) -> None:
+        super().__init__()
+        for pair in report.values:
+            try:
+                self[pair.key] = float(pair.value)
+            except ValueError:
+                continue
+
+    def __missing__(self, name: str) -> float:
+        return 0.0
+
+    def since(self, before: Counts, prefix: str = '') -> dict[str, float]:
+        """Give the counters that have changed, and by how much."""
+        return {
+            name: value - before[name]
+            for name, value in self.items()
+            if name.startswith(prefix) and value != before[name]
+        }
+
+
+def values_of(report: DiagnosticStatus) -> dict[str, str]:
+    return {pair.key: pair.value for pair in report.values}
+
+
+def parameters_of(values: Mapping[str, Any]) -> list[Any]:
+    return [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+
+
+def stamp_of(message: Any) -> int:
+    """Give the number that `Converter.stamped` has put into a message."""
+    return message.header.stamp.sec

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`obbhbb demo`: the harbour through a node of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from harness import Site
+
+from obbhbb_ros import OrientedBoxes
+from obbhbb_ros import convert
+from obbhbb_ros.cli import main
+from obbhbb_ros.methods import ONBOARD_METHODS
+from obbhbb_ros.nodes.demo import boxes_by_method
+from obbhbb_ros.study.harbour import harbour
+
+
+def test_the_node_converts_with_every_method(site: Site) -> None:
+    labels = harbour()
+    found = boxes_by_method(labels)
+    assert list(found) == list(ONBOARD_METHODS)
+    for method, boxes in found.items():
+        expected = convert(OrientedBoxes.from_corners(labels.corners), method)
+        np.testing.assert_allclose(boxes, expected, rtol=0, atol=0.01, err_msg=method)
+
+
+def test_the_command_prints_a_table_and_draws_a_picture(
+    site: Site, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip('matplotlib')
+    picture = tmp_path / 'new' / 'harbour.png'
+    assert main(['demo', '--picture', str(picture)]) == 0
+    printed = capfd.readouterr()
+    assert all(f'\n{method} ' in printed.out for method in ONBOARD_METHODS)
+    assert printed.err == ''
+    assert picture.read_bytes().startswith(b'\x89PNG')
