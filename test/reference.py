@@ -18,6 +18,7 @@ from cdr import encode
 from rclpy.serialization import deserialize_message
 from vision_msgs.msg import Detection2D
 from vision_msgs.msg import Detection2DArray
+from vision_msgs.msg import ObjectHypothesisWithPose
 
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.converter import half_extents
@@ -34,7 +35,9 @@ class Reference:
         kind = getattr(import_module(f'{input_type.package}.msg'), input_type.name)
         message = deserialize_message(data, kind)
         self._settings = settings
-        if isinstance(message, Detection2DArray):
+        if hasattr(message, 'detections'):
+            if not isinstance(message, Detection2DArray):
+                message = from_yolo(message)
             self._message = message
             xywhr = np.array([box_of(each) for each in message.detections]).reshape(-1, 5)
             xywhr[:, 4] *= settings.theta_scale
@@ -107,6 +110,21 @@ def without_boxes(message: Any, count: int) -> Detection2DArray:
         for i in range(count)
     ]
     return Detection2DArray(header=message.header, detections=detections)
+
+
+def from_yolo(message: Any) -> Detection2DArray:
+    """Make detections of a `yolo_msgs/DetectionArray`; their header is that of the message."""
+    answer = Detection2DArray(header=message.header)
+    for each in message.detections:
+        detection = Detection2D(header=message.header, id=each.id)
+        result = ObjectHypothesisWithPose()
+        result.hypothesis.class_id, result.hypothesis.score = each.class_name, each.score
+        detection.results.append(result)
+        box, center = detection.bbox, each.bbox.center
+        box.center.position.x, box.center.position.y = center.position.x, center.position.y
+        box.center.theta, box.size_x, box.size_y = center.theta, each.bbox.size.x, each.bbox.size.y
+        answer.detections.append(detection)
+    return answer
 
 
 def best_hypothesis(detection: Detection2D) -> Any:

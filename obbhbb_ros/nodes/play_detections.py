@@ -275,6 +275,27 @@ def detections_message(labels: ImageLabels, header: Header) -> Detection2DArray:
     return message
 
 
+def yolo_message(labels: ImageLabels, header: Header) -> Any:
+    """Write an image's labels as a `yolo_msgs/DetectionArray`; ids as in `detections_message`."""
+    from yolo_msgs.msg import Detection
+    from yolo_msgs.msg import DetectionArray
+
+    class_ids = sorted(set(labels.class_ids))
+    message = DetectionArray(header=header)
+    for each in detections_message(labels, header).detections:
+        hypothesis = each.results[0].hypothesis
+        detection = Detection(
+            class_id=class_ids.index(hypothesis.class_id), class_name=hypothesis.class_id,
+            score=hypothesis.score, id=each.id,
+        )
+        center, box = each.bbox.center, detection.bbox
+        box.center.position.x, box.center.position.y = center.position.x, center.position.y
+        box.center.theta = center.theta
+        box.size.x, box.size.y = each.bbox.size_x, each.bbox.size_y
+        message.detections.append(detection)
+    return message
+
+
 def image_message(encoding: str, pixels: NDArray[Any], header: Header) -> Image:
     """Write an image of uint8 or uint16 pixels, (H, W) or (H, W, C), little-endian."""
     height, width = pixels.shape[:2]
@@ -306,6 +327,7 @@ def polygon_message(corners: Sequence[Sequence[float]], header: Header) -> Polyg
 
 _MESSAGES: dict[str, Callable[[ImageLabels, Header], list[Any]]] = {
     'Detection2DArray': lambda labels, header: [detections_message(labels, header)],
+    'DetectionArray': lambda labels, header: [yolo_message(labels, header)],
     'Polygon2DCollection': lambda labels, header: [polygons_message(labels, header)],
     'PolygonStamped': lambda labels, header: [
         polygon_message(corners, header) for corners in labels.corners.tolist()

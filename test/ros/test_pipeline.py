@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cdr import DETECTIONS as DETECTIONS_2D
 from cdr import MESSAGES
 from cdr import Detection
 from cdr import Hypothesis
@@ -25,6 +26,7 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.nodes.play_detections import polygon_message
 from obbhbb_ros.nodes.play_detections import polygons_message
+from obbhbb_ros.nodes.play_detections import yolo_message
 from obbhbb_ros.pipeline import Batch
 from obbhbb_ros.settings import OBB_TO_HBB
 from obbhbb_ros.wire.cdr import WireError
@@ -90,6 +92,7 @@ def test_annotations_as_any_input_type(name, values) -> None:
     for labels in read_labels(DATA / name):
         for input_type, messages in (
             ('Detection2DArray', [detections_message(labels, header)]),
+            ('DetectionArray', [yolo_message(labels, header)]),
             ('Polygon2DCollection', [polygons_message(labels, header)]),
             ('PolygonStamped', [polygon_message(c, header) for c in labels.corners[:3].tolist()]),
         ):
@@ -123,6 +126,56 @@ def test_generated_polygons(order, polygons, frame_id, colors) -> None:
     data = bytes([0, order == '<', 0, 0]) + bytes(writer.data)
     for policy in ('drop', 'keep'):
         assert_same(data, {'invalid_policy': policy}, INPUT_TYPES['Polygon2DCollection'])
+
+
+KEYPOINTS = st.integers(0, 5)
+YOLO = st.lists(
+    st.tuples(
+        DETECTIONS_2D, st.integers(-(2**31), 2**31 - 1), st.integers(0, 7), KEYPOINTS, KEYPOINTS,
+        st.sampled_from(['', 'map']),
+    ),
+    max_size=6,
+)
+
+
+@ORDERS
+@given(
+    rows=YOLO, repeat=st.sampled_from([1, 1, 20]), padding=st.sampled_from([0, 0xA5]),
+    frame_id=st.sampled_from(['', 'camera', 'größe']), values=VALUES, tug=st.booleans(),
+)
+def test_generated_yolo_detections(
+    order, rows, repeat, padding, frame_id, values, tug
+) -> None:
+    writer = Writer(order, padding)
+    writer.header((3, 4), frame_id)
+    writer.number('I', len(rows) * repeat)
+    for row in rows * repeat:
+        write_yolo(writer, *row)
+    data = bytes([0, order == '<', 0, 0]) + bytes(writer.data)
+    assert_same(data, values | TUG if tug else values, INPUT_TYPES['DetectionArray'])
+
+
+def write_yolo(writer, detection, class_id, mask, keypoints, keypoints3d, frame_id) -> None:
+    """Write a `yolo_msgs/Detection` field by field."""
+    (hypothesis,) = detection.results[:1] or (Hypothesis(),)
+    writer.number('i', class_id)
+    writer.text(hypothesis.class_id)
+    writer.number('d', hypothesis.score)
+    writer.text(detection.id)
+    for value in (*detection.bbox, *range(10)):
+        writer.number('d', value)
+    writer.text(frame_id)
+    for value in (480, 640, mask):
+        writer.number('I', value)
+    for value in range(2 * mask):
+        writer.number('d', value)
+    for count, size in ((keypoints, 2), (keypoints3d, 3)):
+        writer.number('I', count)
+        for number in range(count):
+            writer.number('i', number)
+            for value in range(size + 1):
+                writer.number('d', value)
+    writer.text(frame_id)
 
 
 @ORDERS
