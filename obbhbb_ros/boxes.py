@@ -56,6 +56,7 @@ class Defect(IntEnum):
     EMPTY = 3
     TOO_FEW_POINTS = 4
     NO_RECTANGLE = 5
+    OUTSIDE_IMAGE = 6
 
 
 @dataclass(eq=False, repr=False, slots=True)

@@ -2,9 +2,9 @@
 """
 What happens to a message: bytes and settings in, bytes and counts out. No ROS in here.
 
-    batch = Batch(data, INPUT_TYPES['Detection2DArray'], settings)
+    batch = Batch(data, INPUT_TYPES['Detection2DArray'], settings, image_size)
     boxes = batch.boxes_message()
-    regions = batch.crop_regions_message(image_size)
+    regions = batch.crop_regions_message()
 """
 
 from __future__ import annotations
@@ -41,6 +41,9 @@ class Batch:
         Its type.
     settings : Settings
         The settings.
+    image_size : tuple of int, optional
+        Width and height of the image, pixels; needed for an `input_frame` other than the image,
+        for `clip_boxes` and for crop regions.
 
     Attributes
     ----------
@@ -55,36 +58,71 @@ class Batch:
         If the bytes are no such message.
     """
 
-    def __init__(self, data: bytes, input_type: InputType, settings: Settings) -> None:
+    def __init__(
+        self,
+        data: bytes,
+        input_type: InputType,
+        settings: Settings,
+        image_size: tuple[int, int] | None = None,
+    ) -> None:
         self._settings = settings
+        self._image_size = image_size
         self._detections = detections = Detections(data, input_type)
-        self._boxes = _oriented_boxes(detections, settings.theta_scale)
+        self._boxes = _oriented_boxes(detections, settings, image_size)
         self._rule_of: NDArray[np.intp] | None = None
         if settings.rule_of_class:
             rule_of_class = settings.rule_of_class
             self._rule_of = np.array(
                 [rule_of_class.get(class_id, 0) for class_id in detections.class_ids()], np.intp
             )
+        self._center = self._boxes.center
         self._extents = half_extents(self._boxes, settings.rules, self._rule_of, settings.caps)
+        self._regular = self._boxes.regular
+        # Crop regions are planned from boxes as they are.
+        self._unclipped = self._center, self._extents
+        if settings.clip_boxes and image_size:
+            self._clip(image_size)
         self.counts = Counter({'messages_converted': 1, 'detections_received': len(detections)})
-        self.complaint = '' if self._boxes.regular else self._count_invalid()
+        self.complaint = '' if self._regular else self._count_invalid()
 
     def boxes_message(self) -> bytes:
         """Write the message with axis-aligned boxes in place of the oriented ones."""
-        xywh = np.concatenate((self._boxes.center, 2.0 * self._extents)).T
-        if self._boxes.regular:
+        xywh = np.concatenate((self._center, 2.0 * self._extents)).T
+        if self._regular:
             return self._detections.rewrite(xywh)
         valid = np.isfinite(self._extents[0])
         if self._settings.keep_invalid or valid.all():
             return self._detections.rewrite(xywh, valid)
         return self._detections.selected(np.flatnonzero(valid), xywh[valid])
 
-    def crop_regions_message(self, image_size: tuple[int, int]) -> bytes:
-        """Plan the crop regions of an image of `image_size` pixels, and write them as a message."""
-        plan = self._plan(self._extents, image_size)
+    def _clip(self, image_size: tuple[int, int]) -> None:
+        """End boxes at the border of the image; those outside cannot be converted."""
+        low = np.maximum(self._center - self._extents, 0.0)
+        high = np.minimum(self._center + self._extents, np.array(image_size)[:, None])
+        outside = (low >= high).any(axis=0)
+        self._center, self._extents = (low + high) / 2.0, (high - low) / 2.0
+        if outside.any():
+            self._boxes.defects[outside] = Defect.OUTSIDE_IMAGE
+            self._extents[:, outside] = np.nan
+            self._regular = False
+
+    def crop_regions_message(self) -> bytes:
+        """
+        Plan the crop regions, and write them as a message.
+
+        Raises
+        ------
+        ValueError
+            If the size of the image is not known.
+        """
+        if self._image_size is None:
+            raise ValueError('crop regions need the size of the image')
+        image_size = self._image_size
+        plan = self._plan(self._crop_boxes(), image_size)
         self._count_crops(plan)
         if self._settings.compare_outer:
-            outer = self._plan(half_extents(self._boxes, OUTER), image_size)
+            outer_extents = half_extents(self._boxes, OUTER)
+            outer = self._plan(to_xyxy(self._boxes.center, outer_extents), image_size)
             self.counts['crop_pixels.compared'] += plan.pixels
             self.counts['crop_pixels.outer_boxes'] += outer.pixels
         low, high = plan.regions.T[:2], plan.regions.T[2:]
@@ -93,12 +131,27 @@ class Batch:
             return self._detections.joined(plan.groups(), xywh)
         return self._detections.selected(plan.sources, xywh)
 
-    def _plan(self, extents: FloatArray, image_size: tuple[int, int]) -> CropPlan:
-        """Plan the crop regions of boxes."""
+    def _crop_boxes(self) -> FloatArray:
+        """Lay boxes, (N, 4), around the boxes and the hulls that are to be kept."""
         settings = self._settings
-        weights = None if self._rule_of is None else settings.weights[self._rule_of]
-        xyxy = to_xyxy(self._boxes.center, extents)
-        return plan_crops(xyxy, self._detections.scores(), image_size, settings.crop, weights)
+        center, extents = self._unclipped
+        if settings.crop_rules:
+            rules = [rule or HullRule() for rule in settings.crop_rules]
+            hulls = half_extents(self._boxes, rules, self._rule_of, settings.caps)
+            if None in settings.crop_rules:
+                box_alone = np.array([rule is None for rule in settings.crop_rules])
+                hulls[:, box_alone[self._rule_of]] = 0.0
+            extents = np.maximum(extents, hulls)
+        return to_xyxy(center, extents)
+
+    def _plan(self, xyxy: FloatArray, image_size: tuple[int, int]) -> CropPlan:
+        """Plan the crop regions of boxes."""
+        settings, rule_of = self._settings, self._rule_of
+        weights = None if rule_of is None else settings.weights[rule_of]
+        min_scores = None if rule_of is None else settings.min_scores[rule_of]
+        return plan_crops(
+            xyxy, self._detections.scores(), image_size, settings.crop, weights, min_scores
+        )
 
     def _count_crops(self, plan: CropPlan) -> None:
         """Count the regions of a plan, and the boxes that have none."""
@@ -126,11 +179,19 @@ class Batch:
         )
 
 
-def _oriented_boxes(detections: Detections, theta_scale: float) -> OrientedBoxes:
-    """Read oriented boxes; `theta_scale` turns the angles of the input into radians."""
+def _oriented_boxes(
+    detections: Detections, settings: Settings, image_size: tuple[int, int] | None
+) -> OrientedBoxes:
+    """Read oriented boxes in image coordinates."""
+    frame = settings.input_frame
     if detections.polygons is not None:
-        return OrientedBoxes.from_polygons(detections.polygons)
+        polygons = detections.polygons
+        if image_size and not frame.is_image:
+            polygons = [frame.to_image(each, image_size) for each in polygons]
+        return OrientedBoxes.from_polygons(polygons)
     xywhr = detections.xywhr()
-    if theta_scale != 1.0:
-        xywhr[:, 4] *= theta_scale
+    if settings.theta_scale != 1.0:
+        xywhr[:, 4] *= settings.theta_scale
+    if image_size and not frame.is_image:
+        return frame.boxes_to_image(xywhr, image_size)
     return OrientedBoxes.from_xywhr(xywhr)

@@ -14,6 +14,7 @@ import re
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import fields
 from dataclasses import replace
@@ -36,6 +37,8 @@ from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.pairing import PairingLimits
+from obbhbb_ros.input_frame import FITS
+from obbhbb_ros.input_frame import InputFrame
 from obbhbb_ros.methods import ONBOARD_METHODS
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
@@ -272,6 +275,15 @@ LOCK = Parameter(
     'Refuse every parameter change after start. Anyone on the DDS domain can make one.',
     read_only=True,
 )
+INPUT_TIMEOUT = Parameter(
+    'input_timeout', 0.0,
+    'Seconds without input after which the diagnostics report ERROR, and after three times as long '
+    'STALE (0: never).',
+    0.0, 1e6,
+)
+HARDWARE_ID = Parameter(
+    'hardware_id', '', "hardware_id in the diagnostics (empty: the node's full name).",
+)
 
 
 @dataclass(frozen=True)
@@ -291,12 +303,19 @@ class Settings:
         Width and height as parameters give them, pixels; 0 where they leave it to `camera_info`.
     theta_scale : float
         Factor from the input's angle unit to radians.
+    input_frame : InputFrame
+        Coordinates of the input.
+    clip_boxes : bool
+        Whether boxes end at the border of the image.
     keep_invalid : bool
         Whether detections that cannot be converted are passed on unchanged.
     crop : CropSettings
         How boxes become crop regions.
-    weights : ndarray, shape (number of rules,)
-        Factor on the score of a detection, by its rule.
+    crop_rules : tuple of HullRule or None
+        The hulls that crop regions enclose besides the boxes, in the order of `rules`; empty if
+        there are none.
+    weights, min_scores : ndarray, shape (number of rules,)
+        Factor on the score of a detection, and minimum score for a crop region, by rule.
     compare_outer : bool
         Whether the crop plan is compared with that of the outer boxes.
     """
@@ -306,30 +325,43 @@ class Settings:
     caps: Caps
     image_size: tuple[int, int]
     theta_scale: float
+    input_frame: InputFrame
+    clip_boxes: bool
     keep_invalid: bool
     crop: CropSettings
+    crop_rules: tuple[HullRule | None, ...]
     weights: FloatArray
+    min_scores: FloatArray
     compare_outer: bool
 
 
 def _settings(values: Mapping[str, Any]) -> Settings:
     """Make settings for `obb_to_hbb`."""
     rules = [HullRule(values['method'], values['q'], values['f'], values['s'])]
+    crop_qs, weights, min_scores = [values['crop.q']], [1.0], [values['crop.min_score']]
     rule_of_class = {}
-    weights = [1.0]
     for class_id in filter(None, values['class_ids']):
         rule_of_class[class_id] = len(rules)
         rules.append(_class_rule(values, class_id))
-        weights.append(values[f'classes.{class_id}.weight'])
+        prefix = f'classes.{class_id}.'
+        crop_qs.append(values[f'{prefix}crop_q'] or values['crop.q'])
+        weights.append(values[f'{prefix}weight'])
+        min_scores.append(values[f'{prefix}min_score'] or values['crop.min_score'])
     return Settings(
         rules=tuple(rules),
         rule_of_class=rule_of_class,
         caps=_caps(values),
         image_size=(values['image_width'], values['image_height']),
         theta_scale=math.pi / 180.0 if values['angle_unit'] == 'deg' else 1.0,
+        input_frame=InputFrame(
+            (values['input_width'], values['input_height']), values['input_fit']
+        ),
+        clip_boxes=values['clip_boxes'],
         keep_invalid=values['invalid_policy'] == 'keep',
         crop=_group(CropSettings, values, 'crop.'),
+        crop_rules=_crop_rules(crop_qs),
         weights=np.array(weights),
+        min_scores=np.array(min_scores),
         compare_outer=values['crop.compare_outer'],
     )
 
@@ -344,6 +376,15 @@ def _class_rule(values: Mapping[str, Any], class_id: str) -> HullRule:
         return HullRule(**own)
     except ValueError as error:
         raise ValueError(f'{prefix}{error}') from None
+
+
+def _crop_rules(qs: Sequence[float]) -> tuple[HullRule | None, ...]:
+    """Make the hulls that crop regions enclose, None where they enclose the box alone."""
+    try:
+        rules = tuple(HullRule(q=q) if q else None for q in qs)
+    except ValueError as error:
+        raise ValueError(f'crop.q or crop_q of a class: {error}, or 0') from None
+    return rules if any(rules) else ()
 
 
 def _caps(values: Mapping[str, Any]) -> Caps:
@@ -368,6 +409,8 @@ OBB_TO_HBB = ParameterTable(
     (
         AUTOSTART,
         LOCK,
+        INPUT_TIMEOUT,
+        HARDWARE_ID,
         Parameter(
             'input_type', next(iter(INPUT_TYPES)),
             'Message type of the input; the topic is '
@@ -419,9 +462,39 @@ OBB_TO_HBB = ParameterTable(
             'angle_unit', 'rad', 'Unit of bbox.center.theta in the input.', choices=('rad', 'deg')
         ),
         Parameter(
+            'input_width', 0,
+            "Width of the network's input, pixels, if detections are in its coordinates.",
+            0, IMAGE_SIZE_LIMIT,
+        ),
+        Parameter(
+            'input_height', 0,
+            "Height of the network's input, pixels, if detections are in its coordinates.",
+            0, IMAGE_SIZE_LIMIT,
+        ),
+        Parameter(
+            'input_fit', 'none',
+            'How the image was fitted to the input of the network: not at all, stretched, or '
+            'scaled with equal margins on two sides.',
+            choices=FITS,
+        ),
+        Parameter(
+            'clip_boxes', False,
+            'Clip boxes to the image; those outside cannot be converted, see invalid_policy.',
+        ),
+        Parameter(
             'invalid_policy', 'drop',
             'Detections that cannot be converted are dropped, or kept unchanged.',
             choices=('drop', 'keep'),
+        ),
+        Parameter(
+            'crop.q', 5.0,
+            'Crop regions also enclose the superellipse of this shape exponent, 1 or more, so that '
+            'the hull is kept (0: the box alone).',
+            0.0, Q_RANGE[1],
+        ),
+        Parameter(
+            'crop.min_score', 0.0, 'Minimum score of a detection with a crop region (0: any).',
+            0.0, 1e6,
         ),
         Parameter(
             'crop.padding', 0.0,
@@ -488,8 +561,17 @@ OBB_TO_HBB = ParameterTable(
             'classes.<id>.s', 0.0, 'Shrink factor for this class (0: that of the node).', *S_RANGE
         ),
         Parameter(
+            'classes.<id>.crop_q', 0.0, 'crop.q for this class (0: that of the node).',
+            0.0, Q_RANGE[1],
+        ),
+        Parameter(
+            'classes.<id>.min_score', 0.0, 'crop.min_score for this class (0: that of the node).',
+            0.0, 1e6,
+        ),
+        Parameter(
             'classes.<id>.weight', 1.0,
-            'Factor on the scores of this class when crop regions are ranked.', 0.0, 1e6,
+            'Factor on the scores of this class when crop regions are ranked (0: no regions).',
+            0.0, 1e6,
         ),
     ),
 )
@@ -520,6 +602,8 @@ CHIP_EXTRACTOR = ParameterTable(
     (
         AUTOSTART,
         LOCK,
+        INPUT_TIMEOUT,
+        HARDWARE_ID,
         Parameter(
             'codec', CodecSettings.codec, 'File format of the chips.', choices=tuple(CODECS)
         ),

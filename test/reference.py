@@ -31,7 +31,13 @@ from obbhbb_ros.wire.layouts import InputType
 class Reference:
     """The detections of one message, like `obbhbb_ros.pipeline.Batch`."""
 
-    def __init__(self, data: bytes, input_type: InputType, settings: Settings) -> None:
+    def __init__(
+        self,
+        data: bytes,
+        input_type: InputType,
+        settings: Settings,
+        image_size: tuple[int, int] | None = None,
+    ) -> None:
         kind = getattr(import_module(f'{input_type.package}.msg'), input_type.name)
         message = deserialize_message(data, kind)
         self._settings = settings
@@ -53,6 +59,7 @@ class Reference:
         self._rule_of = np.array([
             settings.rule_of_class.get('' if each is None else each.class_id, 0) for each in best
         ], np.intp)
+        self._image_size = image_size
         self._extents = half_extents(self._boxes, settings.rules, self._rule_of, settings.caps)
 
     def boxes_message(self) -> bytes:
@@ -67,11 +74,18 @@ class Reference:
                 answer.detections.append(detection)
         return serialized(answer)
 
-    def crop_regions_message(self, image_size: tuple[int, int]) -> bytes:
+    def crop_regions_message(self) -> bytes:
         """Write the crop regions as a message."""
-        xyxy = to_xyxy(self._boxes.center, self._extents)
-        weights = self._settings.weights[self._rule_of]
-        plan = plan_crops(xyxy, self._scores, image_size, self._settings.crop, weights)
+        settings, extents = self._settings, self._extents.copy()
+        for row, rule in enumerate(self._rule_of):
+            hull = settings.crop_rules[rule] if settings.crop_rules else None
+            if hull is not None:
+                box = self._boxes.take(slice(row, row + 1))
+                extent = half_extents(box, [hull], caps=settings.caps)[:, 0]
+                extents[:, row] = np.maximum(extents[:, row], extent)
+        xyxy = to_xyxy(self._boxes.center, extents)
+        weights, least = settings.weights[self._rule_of], settings.min_scores[self._rule_of]
+        plan = plan_crops(xyxy, self._scores, self._image_size, settings.crop, weights, least)
         answer = Detection2DArray(header=self._message.header)
         for (x0, y0, x1, y1), group in zip(plan.regions.tolist(), plan.groups(), strict=True):
             members = [self._message.detections[row] for row in group]

@@ -32,6 +32,8 @@ class LeftOut(str, Enum):
 
     INVALID = 'invalid'
     OUTSIDE = 'outside_image'
+    MIN_SCORE = 'min_score'
+    ZERO_WEIGHT = 'zero_weight'
     MAX_COUNT = 'max_count'
     MAX_PIXELS = 'max_pixels'
 
@@ -43,6 +45,8 @@ class CropSettings:
 
     Attributes
     ----------
+    min_score : float
+        Minimum score of a box with a region (0: any).
     padding : float
         Margin on each side, as a fraction of the box's extent along that axis.
     padding_px : float
@@ -74,6 +78,7 @@ class CropSettings:
     ValueError: padding must be finite and not negative, not -0.1
     """
 
+    min_score: float = 0.0
     padding: float = 0.0
     padding_px: float = 0.0
     min_size: int = 0
@@ -149,6 +154,7 @@ def plan_crops(
     image_size: tuple[int, int],
     settings: CropSettings,
     weights: FloatArray | None = None,
+    min_scores: FloatArray | None = None,
 ) -> CropPlan:
     """
     Plan the regions of one frame.
@@ -168,7 +174,9 @@ def plan_crops(
     settings : CropSettings
         Padding, sizes and limits.
     weights : ndarray, shape (N,), optional
-        Weight of each box's score, 0 or more; 1 by default.
+        Weight of each box's score, 0 or more; 1 by default. Boxes of weight 0 are left out.
+    min_scores : ndarray, shape (N,), optional
+        Minimum score for each box, instead of `settings.min_score`.
 
     Examples
     --------
@@ -195,8 +203,14 @@ def plan_crops(
     inside = np.concatenate((boxes[2:] > 0.0, boxes[:2] < bounds[:2]))
     if not inside.all():
         meets = np.logical_and.reduce(inside)
-        left_out[LeftOut.OUTSIDE] = len(rows) - int(np.count_nonzero(meets))
-        rows, boxes = rows[meets], boxes[:, meets]
+        rows, boxes = _filtered(meets, LeftOut.OUTSIDE, rows, boxes, left_out)
+    if settings.min_score or min_scores is not None:
+        least = settings.min_score if min_scores is None else min_scores[rows]
+        # NaN is below any minimum but 0.
+        enough = (scores[rows] >= least) | (np.asarray(least) == 0.0)
+        rows, boxes = _filtered(enough, LeftOut.MIN_SCORE, rows, boxes, left_out)
+    if weights is not None:
+        rows, boxes = _filtered(weights[rows] > 0.0, LeftOut.ZERO_WEIGHT, rows, boxes, left_out)
     corners = _regions(boxes, bounds, settings)
     # fmax replaces NaN.
     values = np.fmax(scores[rows] if weights is None else scores[rows] * weights[rows], -np.inf)
@@ -214,6 +228,18 @@ def plan_crops(
         offsets = _offsets(sizes[kept])
     left_out = {reason: count for reason, count in left_out.items() if count}
     return CropPlan(corners.T, rows, offsets, left_out)
+
+
+def _filtered(
+    wanted: NDArray[np.bool_],
+    reason: LeftOut,
+    rows: NDArray[np.intp],
+    boxes: FloatArray,
+    left_out: dict[LeftOut, int],
+) -> tuple[NDArray[np.intp], FloatArray]:
+    """Keep the wanted boxes, (4, N), and count the others."""
+    left_out[reason] = len(rows) - int(np.count_nonzero(wanted))
+    return rows[wanted], boxes[:, wanted]
 
 
 def _by_value(

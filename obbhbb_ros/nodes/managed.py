@@ -28,6 +28,7 @@ from obbhbb_ros.nodes.monitor import Monitor
 from obbhbb_ros.nodes.parameters import LiveParameters
 from obbhbb_ros.nodes.process import StartError
 from obbhbb_ros.settings import AUTOSTART
+from obbhbb_ros.settings import INPUT_TIMEOUT
 from obbhbb_ros.settings import ParameterTable
 from obbhbb_ros.settings import SettingsT
 from obbhbb_ros.wire.layouts import InputType
@@ -44,7 +45,13 @@ def message_type(input_type: InputType) -> Any:
     ModuleNotFoundError
         If the package that defines it is not installed.
     """
-    return getattr(import_module(f'{input_type.package}.msg'), input_type.name)
+    try:
+        return getattr(import_module(f'{input_type.package}.msg'), input_type.name)
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            f'{input_type.name} needs the ROS package {input_type.package}: install and source it '
+            f'({error})'
+        ) from None
 
 
 class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
@@ -81,6 +88,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         self._warn_of_unknown_parameters()
         self._monitor = Monitor(self, rates)
         self._active = False
+        self._is_silent = False
         self._silent_until: dict[str, float] = {}
         self._outputs: list[Any] = []
         self._inputs: list[Any] = []
@@ -131,6 +139,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start working."""
         self._active = True
+        self._monitor.expect_input()
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -246,9 +255,21 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         if unknown:
             self.get_logger().warning('unknown parameters, ignored: ' + ', '.join(unknown))
 
+    def _silent_for(self, values: Mapping[str, Any]) -> float:
+        """Return the seconds without input if that is too long, else 0; log when it begins."""
+        silence, timeout = self._monitor.silence(), values[INPUT_TIMEOUT.name]
+        is_silent = bool(self._active and timeout and silence > timeout)
+        if is_silent != self._is_silent:
+            self._is_silent = is_silent
+            if is_silent:
+                self.get_logger().error(f'no input for {silence:.0f} s, see input_timeout')
+            else:
+                self.get_logger().info('no longer without input')
+        return silence if is_silent else 0.0
+
     def _publish_diagnostics(self) -> None:
         """Publish the state, counters and parameters."""
         state = internals.state_label(self)
         values: Mapping[str, Any] = self._parameters_in_force.notable_values()
-        report = self._monitor.report(state, values, self._facts())
+        report = self._monitor.report(state, values, self._facts(), self._silent_for(values))
         self._diagnostics_publisher.publish(report)

@@ -15,7 +15,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_msgs.msg import KeyValue
 from rclpy.node import Node
 
+from obbhbb_ros.settings import HARDWARE_ID
+from obbhbb_ros.settings import INPUT_TIMEOUT
+
 PERIOD = 1.0
+# Times the input timeout.
+_STALE_AFTER = 3.0
 _WINDOW = 1000
 
 
@@ -28,7 +33,7 @@ class Monitor:
     node : Node
         The node that is watched.
     rates : tuple of str
-        Counters whose rate is published as well.
+        Counters whose rate is published as well; the first counts the input.
     """
 
     def __init__(self, node: Node, rates: tuple[str, ...]) -> None:
@@ -38,6 +43,7 @@ class Monitor:
         self._durations: deque[float] = deque(maxlen=_WINDOW)
         self._last: Counter[str] = Counter()
         self._last_time = time.monotonic()
+        self._input_seen = 0, time.monotonic()
         self._trouble = ''
 
     def add(self, name: str, count: int = 1) -> None:
@@ -48,12 +54,27 @@ class Monitor:
         """Record how long a message took, from its arrival in Python to its publication."""
         self._durations.append(seconds)
 
+    def silence(self) -> float:
+        """Return the seconds without input, to the precision of a report."""
+        now, inputs = time.monotonic(), self.counts[self._rates[0]]
+        if inputs != self._input_seen[0]:
+            self._input_seen = inputs, now
+        return now - self._input_seen[1]
+
+    def expect_input(self) -> None:
+        """Count the time without input from now on."""
+        self._input_seen = self.counts[self._rates[0]], time.monotonic()
+
     def trouble(self, text: str) -> None:
         """Remember what went wrong, for the next report."""
         self._trouble = text
 
     def report(
-        self, state: str, parameters: Mapping[str, Any], facts: Mapping[str, str]
+        self,
+        state: str,
+        parameters: Mapping[str, Any],
+        facts: Mapping[str, str],
+        silent_for: float = 0.0,
     ) -> DiagnosticArray:
         """
         Write the report of the period that ends now.
@@ -65,13 +86,23 @@ class Monitor:
         parameters : mapping of str to value
             Parameters in force.
         facts : mapping of str to str
-            What else there is to tell.
+            Other values.
+        silent_for : float
+            Seconds without input, if that is too long.
 
         Returns
         -------
         DiagnosticArray
-            One status, at level WARN if anything went wrong since the last report.
+            One status. Its level is WARN if anything went wrong since the last report, and ERROR or
+            STALE without input.
         """
+        level = DiagnosticStatus.WARN if self._trouble else DiagnosticStatus.OK
+        message = self._trouble or state
+        if silent_for:
+            stale = silent_for > _STALE_AFTER * parameters[INPUT_TIMEOUT.name]
+            level = DiagnosticStatus.STALE if stale else DiagnosticStatus.ERROR
+            message = f'no input for {silent_for:.0f} s'
+        name = self._node.get_fully_qualified_name()
         values = {'state': state}
         values.update({name: str(count) for name, count in sorted(self.counts.items())})
         values.update(facts)
@@ -79,10 +110,10 @@ class Monitor:
         values.update(self._latency_values())
         values.update({f'parameter.{name}': str(value) for name, value in parameters.items()})
         status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if self._trouble else DiagnosticStatus.OK,
-            name=self._node.get_fully_qualified_name().lstrip('/'),
-            message=self._trouble or state,
-            hardware_id='',
+            level=level,
+            name=name.lstrip('/'),
+            message=message,
+            hardware_id=parameters[HARDWARE_ID.name] or name,
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
         self._trouble = ''

@@ -85,8 +85,12 @@ class ObbToHbb(ManagedNode[Settings]):
             self._monitor.add('messages_without_subscriber')
             return
         settings = self._parameters_in_force.settings
+        image_size = self._image_size(settings)
+        if image_size is None and not settings.input_frame.is_image:
+            self._warn_of_image_size('no boxes')
+            return
         try:
-            batch = Batch(data, self._input_type, settings)
+            batch = Batch(data, self._input_type, settings, image_size)
         except WireError as error:
             self._drop_unreadable(data, self._detections, error)
             return
@@ -94,9 +98,12 @@ class ObbToHbb(ManagedNode[Settings]):
             self._boxes.publish(batch.boxes_message())
         # Asked only now: whoever waits for the boxes does not wait for this.
         if _wanted(self._crop_regions):
-            image_size = self._image_size(settings)
             if image_size:
-                self._crop_regions.publish(batch.crop_regions_message(image_size))
+                self._crop_regions.publish(batch.crop_regions_message())
+            else:
+                self._warn_of_image_size('no crop regions')
+        if settings.clip_boxes and not image_size:
+            self._warn_of_image_size('boxes are not clipped')
         self._monitor.counts.update(batch.counts)
         if batch.complaint:
             topic = self._detections.topic_name
@@ -104,20 +111,21 @@ class ObbToHbb(ManagedNode[Settings]):
         self._monitor.took(time.perf_counter() - started)
 
     def _image_size(self, settings: Settings) -> tuple[int, int] | None:
-        """Return the size of the image; warn and give None if it is not known."""
+        """Return the size of the image, None if it is not known."""
         width, height = (
             given or seen
             for given, seen in zip(settings.image_size, self._camera_size, strict=True)
         )
-        if width and height:
-            return width, height
+        return (width, height) if width and height else None
+
+    def _warn_of_image_size(self, consequence: str) -> None:
+        """Count and report a message that needs the size of the image."""
         self._monitor.add('messages_without_image_size')
         self._warn(
             'no image size',
-            'no crop regions without the size of the image: set image_width and image_height, or '
+            f'{consequence} without the size of the image: set image_width and image_height, or '
             'publish camera_info',
         )
-        return None
 
 
 def _wanted(publisher: Any) -> bool:

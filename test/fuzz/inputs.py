@@ -113,11 +113,11 @@ def batch_check(name: str) -> Callable[[bytes], str]:
     def check(data: bytes) -> str:
         for settings in SETTINGS:
             try:
-                batch = Batch(data, INPUT_TYPES[name], settings)
+                batch = Batch(data, INPUT_TYPES[name], settings, (640, 480))
             except WireError:
                 return 'refused'
             batch.boxes_message()
-            batch.crop_regions_message((640, 480))
+            batch.crop_regions_message()
         return 'read'
 
     return check

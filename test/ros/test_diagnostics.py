@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Converter
 from harness import Counts
 from harness import values_of
+from lifecycle_msgs.msg import Transition
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from rclpy.serialization import serialize_message
@@ -100,6 +101,39 @@ def test_trouble_is_a_warning_in_the_next_report_and_no_longer(node: Converter) 
     assert f'{node.namespace}/detections' in report.message
     assert values_of(report)['state'] == 'active'
     assert node.next_report().level == DiagnosticStatus.OK
+
+
+def test_silence_is_an_error_and_then_stale_until_input_comes(
+    start: Callable[..., Converter]
+) -> None:
+    node = start(parameters={'input_timeout': 1.5})
+    node.connect()
+    node.wait(lambda: node.next_report().level == DiagnosticStatus.ERROR, 'an error')
+    assert node.next_report().message.startswith('no input for ')
+    node.wait(lambda: node.next_report().level == DiagnosticStatus.STALE, 'stale')
+    assert node.process.log.count('no input for') == 1
+    node.convert(detections(fleet(1)))
+    assert node.next_report().level == DiagnosticStatus.OK
+    assert 'no longer without input' in node.process.log
+
+
+def test_no_input_is_expected_while_inactive_or_without_a_timeout(
+    start: Callable[..., Converter]
+) -> None:
+    node = start(parameters={'input_timeout': 0.1, 'autostart': False})
+    node.change_state(Transition.TRANSITION_CONFIGURE)
+    for _ in range(3):
+        assert node.next_report().level == DiagnosticStatus.OK
+    node.set({'input_timeout': 0.0})
+    node.change_state(Transition.TRANSITION_ACTIVATE)
+    for _ in range(3):
+        assert node.next_report().level == DiagnosticStatus.OK
+
+
+def test_the_hardware_is_the_node_unless_it_has_another_name(node: Converter) -> None:
+    assert node.next_report().hardware_id == f'{node.namespace}/obb_to_hbb'
+    node.set({'hardware_id': 'payload 2'})
+    node.wait(lambda: node.next_report().hardware_id == 'payload 2', 'the other name')
 
 
 def test_large_messages_that_get_lost_are_counted_and_said(start: Callable[..., Converter]) -> None:

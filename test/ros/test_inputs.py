@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Polygon input, both types, as the node's users send it."""
+"""Input other than `Detection2DArray`, as the node's users send it."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,10 +18,14 @@ from ships import collection
 from ships import fleet
 from ships import polygon
 from ships import rows_of
+from std_msgs.msg import Header
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros.converter import HullRule
+from obbhbb_ros.labels import read_labels
+from obbhbb_ros.nodes.play_detections import yolo_message
 
+DATA = Path(__file__).parents[1] / 'data'
 Points = Sequence[Sequence[float]]
 
 TRIANGLE = [(10.0, 10.0), (60.0, 10.0), (10.0, 40.0)]
@@ -44,6 +51,45 @@ def polygon_node(site: Site) -> Iterator[Converter]:
     with Converter(site, parameters={'input_type': 'PolygonStamped'}) as node:
         node.connect()
         yield node
+
+
+@pytest.fixture(scope='module')
+def yolo_node(site: Site) -> Iterator[Converter]:
+    pytest.importorskip('yolo_msgs')
+    with Converter(site, parameters={'input_type': 'DetectionArray'}) as node:
+        node.connect()
+        yield node
+
+
+def test_real_ships_as_yolo_detections_become_their_boxes(yolo_node: Converter) -> None:
+    for labels in read_labels(DATA / 'real_ships.csv'):
+        message = yolo_message(labels, Header(frame_id='camera'))
+        answer = yolo_node.convert(message)
+        given = message.detections
+        assert [each.id for each in answer.detections] == [each.id for each in given]
+        assert [each.results[0].hypothesis.class_id for each in answer.detections] == [
+            each.class_name for each in given
+        ]
+        assert [each.results[0].hypothesis.score for each in answer.detections] == [
+            each.score for each in given
+        ]
+        assert all(each.header == message.header for each in answer.detections)
+        rows = [
+            (box.center.position.x, box.center.position.y, box.size.x, box.size.y, box.center.theta)
+            for box in (each.bbox for each in given)
+        ]
+        np.testing.assert_array_equal(rows_of(answer), axis_aligned(rows))
+
+
+def test_an_input_type_that_is_not_installed_is_an_error_that_names_it(
+    start: Callable[..., Converter], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / 'yolo_msgs.py').write_text('raise ModuleNotFoundError("no yolo_msgs")')
+    paths = [str(tmp_path), *filter(None, [os.environ.get('PYTHONPATH')])]
+    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(paths))
+    node = start(parameters={'input_type': 'DetectionArray'})
+    assert node.process.wait() == 1
+    assert 'DetectionArray needs the ROS package yolo_msgs' in node.process.log
 
 
 def single(points: Points) -> list[list[float]]:

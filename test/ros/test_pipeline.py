@@ -36,7 +36,8 @@ from obbhbb_ros.wire.layouts import INPUT_TYPES
 DATA = Path(__file__).parents[1] / 'data'
 IMAGE_SIZE = 1920, 1080
 TUG = {
-    'class_ids': ['tug'], 'classes.tug.method': 'outer', 'classes.tug.weight': 3.0,
+    'class_ids': ['tug', 'ship'], 'classes.tug.method': 'outer', 'classes.tug.weight': 3.0,
+    'classes.tug.crop_q': 7.0, 'classes.ship.min_score': 0.4,
 }
 DETECTIONS = INPUT_TYPES['Detection2DArray']
 ORDERS = pytest.mark.parametrize('order', '<>')
@@ -45,18 +46,20 @@ ORDERS = pytest.mark.parametrize('order', '<>')
 def assert_same(data, values=None, input_type=DETECTIONS):
     """Hold pipeline and reference together; crops alone, and after the boxes."""
     settings = OBB_TO_HBB.settings(values or {})
-    reference = Reference(data, input_type, settings)
-    regions = reference.crop_regions_message(IMAGE_SIZE)
-    assert Batch(data, input_type, settings).crop_regions_message(IMAGE_SIZE) == regions
-    batch = Batch(data, input_type, settings)
+    reference = Reference(data, input_type, settings, IMAGE_SIZE)
+    regions = reference.crop_regions_message()
+    assert Batch(data, input_type, settings, IMAGE_SIZE).crop_regions_message() == regions
+    batch = Batch(data, input_type, settings, IMAGE_SIZE)
     assert batch.boxes_message() == reference.boxes_message()
-    assert batch.crop_regions_message(IMAGE_SIZE) == regions
+    assert batch.crop_regions_message() == regions
 
 
 VALUES = st.fixed_dictionaries({}, optional={
     'q': st.floats(1, 10), 'f': st.floats(0.1, 2.0), 'angle_unit': st.just('deg'),
     'invalid_policy': st.just('keep'), 'max_length': st.floats(1, 50),
-    'crop.padding': st.floats(0, 1), 'crop.max_count': st.integers(0, 5),
+    'crop.padding': st.floats(0, 1), 'crop.q': st.sampled_from([0.0, 1.0, 4.0]),
+    'crop.min_score': st.floats(0, 1),
+    'crop.max_count': st.integers(0, 5),
     'crop.min_size': st.integers(0, 99), 'crop.merge_max_size': st.just(10**6),
 })
 

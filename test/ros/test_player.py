@@ -288,7 +288,7 @@ def real_ships() -> list[ImageLabels]:
 
 def boxes_sent(labels: ImageLabels, output_type: str) -> list[OrientedBoxes]:
     """Give what the node has to find in each message made of an image's labels."""
-    if output_type == 'Detection2DArray':
+    if output_type in ('Detection2DArray', 'DetectionArray'):
         boxes = OrientedBoxes.from_corners(labels.corners)
         rows = np.vstack((boxes.center, boxes.length, boxes.width, boxes.theta)).T
         return [OrientedBoxes.from_xywhr(rows)]

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the coordinates of a network's input to those of the image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.boxes import OrientedBoxes
+
+FITS = ('none', 'stretch', 'letterbox')
+
+
+@dataclass(frozen=True)
+class InputFrame:
+    """
+    How an image was fitted to the input of a network.
+
+    Attributes
+    ----------
+    size : tuple of int
+        Width and height of the input, pixels.
+    fit : str
+        One of `FITS`: detections are in image coordinates; the image was stretched to the input;
+        or it was scaled as a whole, with equal margins left and right or above and below.
+
+    Raises
+    ------
+    ValueError
+        If the size is needed and not given.
+
+    Examples
+    --------
+    >>> frame = InputFrame((640, 640), 'letterbox')
+    >>> frame.to_image(np.array([[320.0, 140.0]]), (1280, 720))
+    array([[640.,   0.]])
+    """
+
+    size: tuple[int, int]
+    fit: str = 'none'
+
+    def __post_init__(self) -> None:
+        """Check that the size is given."""
+        if self.fit != 'none' and not all(self.size):
+            raise ValueError(f'input_fit {self.fit} needs input_width and input_height')
+
+    @property
+    def is_image(self) -> bool:
+        """Whether detections are in image coordinates already."""
+        return self.fit == 'none'
+
+    def to_image(self, points: FloatArray, image_size: tuple[int, int]) -> FloatArray:
+        """
+        Map points to the image.
+
+        Parameters
+        ----------
+        points : ndarray, shape (..., 2)
+            x and y in the input, pixels.
+        image_size : tuple of int
+            Width and height of the image, pixels.
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            x and y in the image, pixels.
+        """
+        image, frame = np.array(image_size, np.float64), np.array(self.size, np.float64)
+        scale = frame / image
+        if self.fit == 'letterbox':
+            scale[:] = scale.min()
+        with np.errstate(over='ignore', invalid='ignore'):
+            mapped: FloatArray = (points - (frame - image * scale) / 2.0) / scale
+        return mapped
+
+    def boxes_to_image(
+        self, xywhr: FloatArray, image_size: tuple[int, int]
+    ) -> OrientedBoxes:
+        """
+        Map boxes to the image.
+
+        A box is no rectangle any more where the image was stretched unequally; its mean edges are
+        taken, as `OrientedBoxes.from_corners` does.
+
+        Parameters
+        ----------
+        xywhr : ndarray, shape (N, 5)
+            Boxes as `OrientedBoxes.from_xywhr` takes them.
+        image_size : tuple of int
+            Width and height of the image, pixels.
+
+        Returns
+        -------
+        OrientedBoxes
+            The boxes in the image; defects are kept.
+        """
+        given = OrientedBoxes.from_xywhr(xywhr)
+        boxes = OrientedBoxes.from_corners(self.to_image(given.corners, image_size))
+        known = ~given.valid
+        boxes.defects[known] = given.defects[known]
+        return boxes
