@@ -35,7 +35,8 @@ def answers(shared_node: Converter) -> list[Any]:
 @pytest.fixture
 def crops(node: Converter, answers: list[Any]) -> Callable[..., Detection2DArray]:
     """Converts rows, or a whole message, into a message of crop regions."""
-    node.set(SIZE)
+    # Regions of the boxes alone, unless a test is about the hull.
+    node.set(SIZE | {'crop.q': 0.0})
     node.connect(answers)
 
     def _crops(given: Any, **parameters: Any) -> Detection2DArray:
@@ -97,6 +98,42 @@ def test_regions_are_whole_pixels_in_the_image_around_what_is_in_it_of_the_box(
     # All scores are equal, so the regions come from left to right.
     expected = np.hstack((np.floor(clipped[:, :2]), np.ceil(clipped[:, 2:])))[inside]
     np.testing.assert_array_equal(regions, expected[np.lexsort(expected.T[::-1])])
+
+
+@pytest.mark.parametrize('method', ['superellipse', 'shape_aware', 'outer'])
+def test_regions_enclose_the_hull_of_crop_q_and_the_box(crops: Crops, method: str) -> None:
+    ship = (300.0, 200.0, 120.0, 30.0, 0.7)
+    got = corners(crops([ship], method=method, crop__q=5.0))
+    boxes = OrientedBoxes.from_xywhr([ship])
+    box, hull = convert(boxes, method), convert(boxes, q=5.0)
+    low, high = np.minimum(box, hull)[:, :2], np.maximum(box, hull)[:, 2:]
+    np.testing.assert_array_equal(got, np.hstack((np.floor(low), np.ceil(high))))
+
+
+def test_a_class_has_its_own_hull_and_minimum_score(crops: Crops) -> None:
+    message = scored([0.3, 0.3, 0.9])
+    classes = {'class_ids': ['class1'], 'method': 'midpoint'}
+    own = {'classes__class1__crop_q': float('inf'), 'classes__class1__min_score': 0.2}
+    crops(message, **classes)
+    got = crops(message, crop__min_score=0.5, **own)
+    assert ids(got) == ['2', '1']
+    boxes = OrientedBoxes.from_xywhr([(110.0, 100.0, 20.0, 10.0, 0.3)])
+    outer = convert(boxes, 'outer')[0]
+    np.testing.assert_array_equal(
+        corners(got)[1], [*np.floor(outer[:2]), *np.ceil(outer[2:])]
+    )
+
+
+def test_low_scores_and_classes_of_no_weight_are_left_out_and_counted(
+    node: Converter, crops: Crops
+) -> None:
+    crops(scored([0.3]), class_ids=['class2'])
+    before = node.counts()
+    got = crops(scored([0.3, 0.6, 0.9]), crop__min_score=0.5, classes__class2__weight=0.0)
+    assert ids(got) == ['1']
+    assert node.counts().since(before, 'crops_left_out') == {
+        'crops_left_out.min_score': 1, 'crops_left_out.zero_weight': 1,
+    }
 
 
 def test_padding_is_a_fraction_of_the_box_and_then_pixels(crops: Crops) -> None:

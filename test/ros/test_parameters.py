@@ -41,7 +41,8 @@ CONTRACT = {
     'ground_sample_distance', 'class_ids', 'image_width', 'image_height', 'angle_unit',
     'invalid_policy', 'crop.padding', 'crop.padding_px', 'crop.min_size', 'crop.max_size',
     'crop.multiple_of', 'crop.merge_max_size', 'crop.max_count', 'crop.max_pixels',
-    'crop.compare_outer', 'lock_parameters',
+    'crop.compare_outer', 'lock_parameters', 'crop.q', 'crop.min_score', 'clip_boxes',
+    'input_width', 'input_height', 'input_fit', 'input_timeout', 'hardware_id',
 }
 
 SHIPS = fleet(8)
@@ -269,7 +270,8 @@ TYPES = {
 def test_the_parameters_are_those_of_the_contract() -> None:
     assert {spec.name for spec in OBB_TO_HBB.rows} == CONTRACT
     names = {spec.name for spec in OBB_TO_HBB.class_rows}
-    assert names == {f'classes.<id>.{name}' for name in ('method', 'q', 'f', 's', 'weight')}
+    own = ('method', 'q', 'f', 's', 'weight', 'crop_q', 'min_score')
+    assert names == {f'classes.<id>.{name}' for name in own}
 
 
 @pytest.mark.parametrize('spec', OBB_TO_HBB.rows, ids=lambda spec: spec.name)
