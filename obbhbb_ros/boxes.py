@@ -92,7 +92,9 @@ class OrientedBoxes:
     _axes: tuple[FloatArray, FloatArray] | None = field(default=None, init=False)
 
     @classmethod
-    def from_corners(cls, corners: ArrayLike, bow: bool = False) -> OrientedBoxes:
+    def from_corners(
+        cls, corners: ArrayLike, bow: bool | NDArray[np.bool_] = False
+    ) -> OrientedBoxes:
         """
         Create boxes from their corners.
 
@@ -104,9 +106,9 @@ class OrientedBoxes:
             their mean edges, centred on each axis on the diagonal that is longer along it.
             Crossed corners have no area and are marked as empty; `from_polygons` accepts vertices
             in any order.
-        bow : bool
-            True if the first two corners of each box are its bow end. The bow of a box where they
-            are a long side is not known.
+        bow : bool or ndarray of bool, shape (N,)
+            True if the first two corners are the bow end, for all boxes or for each. Where they
+            are a long side the bow is not known.
 
         Examples
         --------
@@ -115,14 +117,16 @@ class OrientedBoxes:
         (array([60.]), array([20.]))
         """
         boxes = _in_blocks(_as_array(corners, 'corners', (4, 2)), _boxes_of_corners)
-        if bow:
+        if bow is not False:
             # The second edge leads away from the bow.
             boxes.first, boxes.second = -boxes.second, boxes.first
-            boxes.bow = _along_first(boxes)
+            boxes.bow = _along_first(boxes) & bow
         return boxes
 
     @classmethod
-    def from_xywhr(cls, xywhr: ArrayLike, bow: bool = False) -> OrientedBoxes:
+    def from_xywhr(
+        cls, xywhr: ArrayLike, bow: bool | NDArray[np.bool_] = False
+    ) -> OrientedBoxes:
         """
         Create boxes from centre, size and angle.
 
@@ -131,11 +135,11 @@ class OrientedBoxes:
         xywhr : array_like, shape (N, 5)
             Centre x and y, extent along `theta`, extent across it (pixels), `theta` (radians from
             image +x).
-        bow : bool
-            True if `theta` points to the bow, full circle. The direction is
-            ``(cos(theta), sin(theta))`` in image coordinates, y down: clockwise on the screen.
-            Negate angles that are counter-clockwise. The bow of a box whose extent along `theta`
-            is the shorter side is not known.
+        bow : bool or ndarray of bool, shape (N,)
+            True if `theta` points to the bow, full circle, for all boxes or for each. The
+            direction is ``(cos(theta), sin(theta))`` in image coordinates, y down: clockwise on
+            the screen. Negate angles that are counter-clockwise. Where the extent along `theta`
+            is the shorter side the bow is not known.
 
         Examples
         --------
@@ -147,8 +151,8 @@ class OrientedBoxes:
         array([ True, False])
         """
         boxes = _in_blocks(_as_array(xywhr, 'xywhr', (5,)), _boxes_of_xywhr)
-        if bow:
-            boxes.bow = _along_first(boxes)
+        if bow is not False:
+            boxes.bow = _along_first(boxes) & bow
         return boxes
 
     @classmethod
