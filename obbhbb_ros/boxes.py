@@ -3,7 +3,8 @@
 Arrays of oriented boxes, from corners, from centre, size and angle, or from polygons.
 
 Image coordinates: x to the right, y down, pixels, pixel i covering [i, i + 1). Axis-aligned
-extents are even in the angle and have period pi, so its sense of rotation does not matter.
+extents are even in the angle and have period pi, so its sense of rotation matters only where the
+angle points to the bow.
 """
 
 from __future__ import annotations
@@ -79,6 +80,8 @@ class OrientedBoxes:
     regular : bool
         True if no box has a defect and no conversion can overflow, so that callers can skip these
         checks.
+    bow : ndarray of bool, shape (N,), or None
+        Where the bow is known: it is then at ``center + first``. None: nowhere.
     """
 
     center: FloatArray
@@ -86,10 +89,13 @@ class OrientedBoxes:
     second: FloatArray
     defects: NDArray[np.uint8]
     regular: bool = False
+    bow: NDArray[np.bool_] | None = None
     _axes: tuple[FloatArray, FloatArray] | None = field(default=None, init=False)
 
     @classmethod
-    def from_corners(cls, corners: ArrayLike) -> OrientedBoxes:
+    def from_corners(
+        cls, corners: ArrayLike, bow: bool | NDArray[np.bool_] = False
+    ) -> OrientedBoxes:
         """
         Create boxes from their corners.
 
@@ -101,6 +107,9 @@ class OrientedBoxes:
             their mean edges, centred on each axis on the diagonal that is longer along it.
             Crossed corners have no area and are marked as empty; `from_polygons` accepts vertices
             in any order.
+        bow : bool or ndarray of bool, shape (N,)
+            True if the first two corners are the bow end, for all boxes or for each. Where they
+            are a long side the bow is not known.
 
         Examples
         --------
@@ -108,10 +117,19 @@ class OrientedBoxes:
         >>> boxes.length, boxes.width
         (array([60.]), array([20.]))
         """
-        return _in_blocks(_as_array(corners, 'corners', (4, 2)), _boxes_of_corners)
+        boxes = _in_blocks(_as_array(corners, 'corners', (4, 2)), _boxes_of_corners)
+        if bow is not False:
+            # The second edge leads away from the bow.
+            ahead, aside = -boxes.second, boxes.first
+            boxes.bow = known = _known_bows(ahead, aside, bow)
+            boxes.first = np.where(known, ahead, boxes.first)
+            boxes.second = np.where(known, aside, boxes.second)
+        return boxes
 
     @classmethod
-    def from_xywhr(cls, xywhr: ArrayLike) -> OrientedBoxes:
+    def from_xywhr(
+        cls, xywhr: ArrayLike, bow: bool | NDArray[np.bool_] = False
+    ) -> OrientedBoxes:
         """
         Create boxes from centre, size and angle.
 
@@ -120,14 +138,25 @@ class OrientedBoxes:
         xywhr : array_like, shape (N, 5)
             Centre x and y, extent along `theta`, extent across it (pixels), `theta` (radians from
             image +x).
+        bow : bool or ndarray of bool, shape (N,)
+            True if `theta` points to the bow, full circle, for all boxes or for each. The
+            direction is ``(cos(theta), sin(theta))`` in image coordinates, y down: clockwise on
+            the screen. Negate angles that are counter-clockwise. Where the extent along `theta`
+            is the shorter side the bow is not known.
 
         Examples
         --------
         >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]])
         >>> boxes.corners[0].tolist()
         [[20.0, 30.0], [80.0, 30.0], [80.0, 50.0], [20.0, 50.0]]
+        >>> boxes = OrientedBoxes.from_xywhr([[50, 40, 60, 20, 0], [50, 40, 20, 60, 0]], bow=True)
+        >>> boxes.bow
+        array([ True, False])
         """
-        return _in_blocks(_as_array(xywhr, 'xywhr', (5,)), _boxes_of_xywhr)
+        boxes = _in_blocks(_as_array(xywhr, 'xywhr', (5,)), _boxes_of_xywhr)
+        if bow is not False:
+            boxes.bow = _known_bows(boxes.first, boxes.second, bow)
+        return boxes
 
     @classmethod
     def from_polygons(cls, polygons: Iterable[ArrayLike]) -> OrientedBoxes:
@@ -173,7 +202,7 @@ class OrientedBoxes:
         """Select boxes by any NumPy index of N rows: a slice, indices or a mask."""
         return OrientedBoxes(
             self.center[:, rows], self.first[:, rows], self.second[:, rows], self.defects[rows],
-            self.regular,
+            self.regular, None if self.bow is None else self.bow[rows],
         )
 
     @property
@@ -231,6 +260,16 @@ def longer_first(first: FloatArray, second: FloatArray) -> tuple[FloatArray, Flo
     if not swap.any():
         return first, second
     return np.where(swap, second, first), np.where(swap, first, second)
+
+
+def _known_bows(
+    ahead: FloatArray, aside: FloatArray, asked: bool | NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Find where the bow is at the end of half edges `ahead`, (2, N): those not the shorter."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        length, width = (edge[0] * edge[0] + edge[1] * edge[1] for edge in (ahead, aside))
+    # False where a box has a defect, NaN, or its square overflows.
+    return (width <= length) & (length < np.inf) & np.broadcast_to(asked, length.shape)
 
 
 def range_defect(points: FloatArray) -> Defect:
