@@ -76,7 +76,7 @@ class InputFrame:
         return mapped
 
     def boxes_to_image(
-        self, xywhr: FloatArray, image_size: tuple[int, int]
+        self, xywhr: FloatArray, image_size: tuple[int, int], bow: bool = False
     ) -> OrientedBoxes:
         """
         Map boxes to the image.
@@ -90,14 +90,24 @@ class InputFrame:
             Boxes as `OrientedBoxes.from_xywhr` takes them.
         image_size : tuple of int
             Width and height of the image, pixels.
+        bow : bool
+            Whether theta points to the bow.
 
         Returns
         -------
         OrientedBoxes
             The boxes in the image; defects are kept.
         """
-        given = OrientedBoxes.from_xywhr(xywhr)
-        boxes = OrientedBoxes.from_corners(self.to_image(given.corners, image_size))
+        given = OrientedBoxes.from_xywhr(xywhr, bow)
+        center, ahead, aside = given.center, given.first, given.second
+        with np.errstate(over='ignore', invalid='ignore'):
+            # From the bow's end on.
+            corners = np.stack((
+                center + ahead - aside, center + ahead + aside,
+                center - ahead + aside, center - ahead - aside,
+            )).transpose(2, 0, 1)
+        known_bow = False if given.bow is None else given.bow
+        boxes = OrientedBoxes.from_corners(self.to_image(corners, image_size), known_bow)
         known = ~given.valid
         boxes.defects[known] = given.defects[known]
         return boxes

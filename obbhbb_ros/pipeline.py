@@ -18,6 +18,7 @@ from obbhbb_ros.boxes import Defect
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.converter import HullRule
+from obbhbb_ros.converter import centers_and_extents
 from obbhbb_ros.converter import half_extents
 from obbhbb_ros.converter import to_xyxy
 from obbhbb_ros.downlink.crops import CropPlan
@@ -75,8 +76,9 @@ class Batch:
             self._rule_of = np.array(
                 [rule_of_class.get(class_id, 0) for class_id in detections.class_ids()], np.intp
             )
-        self._center = self._boxes.center
-        self._extents = half_extents(self._boxes, settings.rules, self._rule_of, settings.caps)
+        self._center, self._extents = centers_and_extents(
+            self._boxes, settings.rules, self._rule_of, settings.caps
+        )
         self._regular = self._boxes.regular
         # Crop regions are planned from boxes as they are.
         self._unclipped = self._center, self._extents
@@ -134,15 +136,18 @@ class Batch:
     def _crop_boxes(self) -> FloatArray:
         """Lay boxes, (N, 4), around the boxes and the hulls that are to be kept."""
         settings = self._settings
-        center, extents = self._unclipped
-        if settings.crop_rules:
-            rules = [rule or HullRule() for rule in settings.crop_rules]
-            hulls = half_extents(self._boxes, rules, self._rule_of, settings.caps)
-            if None in settings.crop_rules:
-                box_alone = np.array([rule is None for rule in settings.crop_rules])
-                hulls[:, box_alone[self._rule_of]] = 0.0
-            extents = np.maximum(extents, hulls)
-        return to_xyxy(center, extents)
+        xyxy = to_xyxy(*self._unclipped)
+        if not settings.crop_rules:
+            return xyxy
+        rules = [rule or HullRule() for rule in settings.crop_rules]
+        hulls = half_extents(self._boxes, rules, self._rule_of, settings.caps)
+        around = to_xyxy(self._boxes.center, hulls)
+        if None in settings.crop_rules:
+            box_alone = np.array([rule is None for rule in settings.crop_rules])[self._rule_of]
+            around[box_alone] = xyxy[box_alone]
+        return np.hstack((
+            np.minimum(xyxy[:, :2], around[:, :2]), np.maximum(xyxy[:, 2:], around[:, 2:])
+        ))
 
     def _plan(self, xyxy: FloatArray, image_size: tuple[int, int]) -> CropPlan:
         """Plan the crop regions of boxes."""
@@ -193,5 +198,5 @@ def _oriented_boxes(
     if settings.theta_scale != 1.0:
         xywhr[:, 4] *= settings.theta_scale
     if image_size and not frame.is_image:
-        return frame.boxes_to_image(xywhr, image_size)
-    return OrientedBoxes.from_xywhr(xywhr)
+        return frame.boxes_to_image(xywhr, image_size, settings.bow)
+    return OrientedBoxes.from_xywhr(xywhr, bow=settings.bow)

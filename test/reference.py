@@ -21,6 +21,7 @@ from vision_msgs.msg import Detection2DArray
 from vision_msgs.msg import ObjectHypothesisWithPose
 
 from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.converter import centers_and_extents
 from obbhbb_ros.converter import half_extents
 from obbhbb_ros.converter import to_xyxy
 from obbhbb_ros.downlink.crops import plan_crops
@@ -47,7 +48,7 @@ class Reference:
             self._message = message
             xywhr = np.array([box_of(each) for each in message.detections]).reshape(-1, 5)
             xywhr[:, 4] *= settings.theta_scale
-            self._boxes = OrientedBoxes.from_xywhr(xywhr)
+            self._boxes = OrientedBoxes.from_xywhr(xywhr, bow=settings.bow)
         else:
             polygons = message.polygons if hasattr(message, 'polygons') else [message.polygon]
             self._message = without_boxes(message, len(polygons))
@@ -60,13 +61,15 @@ class Reference:
             settings.rule_of_class.get('' if each is None else each.class_id, 0) for each in best
         ], np.intp)
         self._image_size = image_size
-        self._extents = half_extents(self._boxes, settings.rules, self._rule_of, settings.caps)
+        self._center, self._extents = centers_and_extents(
+            self._boxes, settings.rules, self._rule_of, settings.caps
+        )
 
     def boxes_message(self) -> bytes:
         """Write the message with axis-aligned boxes."""
         answer = Detection2DArray(header=self._message.header)
         for detection, center, extents in zip(
-            self._message.detections, self._boxes.center.T, self._extents.T, strict=True
+            self._message.detections, self._center.T, self._extents.T, strict=True
         ):
             if np.isfinite(extents[0]):
                 answer.detections.append(with_box(detection, *center, *(2.0 * extents)))
@@ -76,14 +79,14 @@ class Reference:
 
     def crop_regions_message(self) -> bytes:
         """Write the crop regions as a message."""
-        settings, extents = self._settings, self._extents.copy()
+        settings, xyxy = self._settings, to_xyxy(self._center, self._extents)
         for row, rule in enumerate(self._rule_of):
             hull = settings.crop_rules[rule] if settings.crop_rules else None
             if hull is not None:
                 box = self._boxes.take(slice(row, row + 1))
-                extent = half_extents(box, [hull], caps=settings.caps)[:, 0]
-                extents[:, row] = np.maximum(extents[:, row], extent)
-        xyxy = to_xyxy(self._boxes.center, extents)
+                around = to_xyxy(box.center, half_extents(box, [hull], caps=settings.caps))[0]
+                xyxy[row, :2] = np.minimum(xyxy[row, :2], around[:2])
+                xyxy[row, 2:] = np.maximum(xyxy[row, 2:], around[2:])
         weights, least = settings.weights[self._rule_of], settings.min_scores[self._rule_of]
         plan = plan_crops(xyxy, self._scores, self._image_size, settings.crop, weights, least)
         answer = Detection2DArray(header=self._message.header)

@@ -42,7 +42,8 @@ CONTRACT = {
     'invalid_policy', 'crop.padding', 'crop.padding_px', 'crop.min_size', 'crop.max_size',
     'crop.multiple_of', 'crop.merge_max_size', 'crop.max_count', 'crop.max_pixels',
     'crop.compare_outer', 'lock_parameters', 'crop.q', 'crop.min_score', 'clip_boxes',
-    'input_width', 'input_height', 'input_fit', 'input_timeout', 'hardware_id',
+    'input_width', 'input_height', 'input_fit', 'input_timeout', 'hardware_id', 'heading',
+    'q_bow', 'q_stern',
 }
 
 SHIPS = fleet(8)
@@ -270,7 +271,7 @@ TYPES = {
 def test_the_parameters_are_those_of_the_contract() -> None:
     assert {spec.name for spec in OBB_TO_HBB.rows} == CONTRACT
     names = {spec.name for spec in OBB_TO_HBB.class_rows}
-    own = ('method', 'q', 'f', 's', 'weight', 'crop_q', 'min_score')
+    own = ('method', 'q', 'f', 's', 'weight', 'crop_q', 'min_score', 'q_bow', 'q_stern')
     assert names == {f'classes.<id>.{name}' for name in own}
 
 

@@ -37,7 +37,7 @@ DATA = Path(__file__).parents[1] / 'data'
 IMAGE_SIZE = 1920, 1080
 TUG = {
     'class_ids': ['tug', 'ship'], 'classes.tug.method': 'outer', 'classes.tug.weight': 3.0,
-    'classes.tug.crop_q': 7.0, 'classes.ship.min_score': 0.4,
+    'classes.tug.crop_q': 7.0, 'classes.ship.q_bow': 1.8, 'classes.ship.min_score': 0.4,
 }
 DETECTIONS = INPUT_TYPES['Detection2DArray']
 ORDERS = pytest.mark.parametrize('order', '<>')
@@ -58,7 +58,8 @@ VALUES = st.fixed_dictionaries({}, optional={
     'q': st.floats(1, 10), 'f': st.floats(0.1, 2.0), 'angle_unit': st.just('deg'),
     'invalid_policy': st.just('keep'), 'max_length': st.floats(1, 50),
     'crop.padding': st.floats(0, 1), 'crop.q': st.sampled_from([0.0, 1.0, 4.0]),
-    'crop.min_score': st.floats(0, 1),
+    'crop.min_score': st.floats(0, 1), 'heading': st.just('theta'),
+    'q_bow': st.sampled_from([1.0, 2.2]), 'q_stern': st.just(4.2),
     'crop.max_count': st.integers(0, 5),
     'crop.min_size': st.integers(0, 99), 'crop.merge_max_size': st.just(10**6),
 })

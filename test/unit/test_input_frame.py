@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from obbhbb_ros import OrientedBoxes
+from obbhbb_ros import convert
 from obbhbb_ros.converter import half_extents
 from obbhbb_ros.input_frame import InputFrame
 from obbhbb_ros.pipeline import Batch
@@ -88,6 +89,18 @@ def test_polygons_of_a_network_are_those_of_the_image(fit) -> None:
 def test_a_fit_without_a_size_is_refused(values) -> None:
     with pytest.raises(ValueError, match='input_fit letterbox needs input_width and input_height'):
         OBB_TO_HBB.settings({'input_fit': 'letterbox', **values})
+
+
+@pytest.mark.parametrize('fit', ['stretch', 'letterbox'])
+def test_the_bow_stays_where_it_is(fit) -> None:
+    ships = SHIPS * (1, 1, 1, 1, 0) + (0, 0, 0, 0, np.pi)
+    there = to_network(ships[:, :2], (1280, 720), (640, 640), fit)
+    scale = (0.5, 640 / 720) if fit == 'stretch' else (0.5, 0.5)
+    rows = np.hstack((there, ships[:, 2:4] * scale, ships[:, 4:]))
+    boxes = InputFrame((640, 640), fit).boxes_to_image(rows, (1280, 720), bow=True)
+    expected = convert(OrientedBoxes.from_xywhr(ships, bow=True), q_bow=1.5, q_stern=4.0)
+    np.testing.assert_allclose(convert(boxes, q_bow=1.5, q_stern=4.0), expected, atol=1e-6)
+    assert boxes.bow.all()
 
 
 def test_defects_keep_their_reason() -> None:
