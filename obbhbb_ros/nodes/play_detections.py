@@ -15,6 +15,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import Point32
 from geometry_msgs.msg import Polygon
 from geometry_msgs.msg import PolygonStamped
@@ -31,6 +32,7 @@ from vision_msgs.msg import Detection2D
 from vision_msgs.msg import Detection2DArray
 from vision_msgs.msg import ObjectHypothesisWithPose
 
+from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.data import HARBOUR
 from obbhbb_ros.data import HARBOUR_SIZE
@@ -40,6 +42,8 @@ from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.images import find_images
 from obbhbb_ros.labels.images import load_image
+from obbhbb_ros.labels.records import BOW_SOURCES
+from obbhbb_ros.labels.records import BowSource
 from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.managed import message_type
 from obbhbb_ros.nodes.parameters import LiveParameters
@@ -60,13 +64,16 @@ class PlayerSettings:
     loop: bool
     images: bool
     frame_id: str
+    bow: BowSource
 
 
 def _settings(values: Mapping[str, Any]) -> PlayerSettings:
     """Make settings for `play_detections`."""
     if bool(values['image_width']) != bool(values['image_height']):
         raise ValueError('image_width and image_height must be given together')
-    return PlayerSettings(values['loop'], values['images'], values['frame_id'])
+    return PlayerSettings(
+        values['loop'], values['images'], values['frame_id'], values['bow']
+    )
 
 
 PLAY_DETECTIONS = ParameterTable(
@@ -87,6 +94,12 @@ PLAY_DETECTIONS = ParameterTable(
             + ', '.join(f'`{each.topic}` for {each.name}' for each in INPUT_TYPES.values())
             + '. A PolygonStamped holds one box.',
             choices=tuple(INPUT_TYPES), read_only=True,
+        ),
+        Parameter(
+            'bow', 'none',
+            'Angles point to the bow: where labels say so, or to the first edge of every box. For '
+            'heading of obb_to_hbb.',
+            choices=BOW_SOURCES,
         ),
         Parameter(
             'images', True,
@@ -226,7 +239,8 @@ class PlayDetections(Node):
             self._camera_publisher.publish(CameraInfo(header=header, width=width, height=height))
         if image:
             self._image_publisher.publish(image)
-        for message in _MESSAGES[self._output_type.name](labels, header):
+        settings = self._parameters_in_force.settings
+        for message in _MESSAGES[self._output_type.name](labels, header, settings.bow):
             self._publisher.publish(message)
 
     def _image(self, file: Path | None, header: Header) -> Image | None:
@@ -248,19 +262,17 @@ class PlayDetections(Node):
         self.context.try_shutdown()
 
 
-def detections_message(labels: ImageLabels, header: Header) -> Detection2DArray:
+def detections_message(
+    labels: ImageLabels, header: Header, bow: BowSource = 'none'
+) -> Detection2DArray:
     """
     Write an image's labels as oriented detections, in the same order.
 
-    The id is `image/instance`, the instance being an index where the labels do not name it.
+    The id is `image/instance`, the instance being an index where the labels do not name it. With
+    `bow`, theta points to the bow; where that is not known, the size along theta is the width.
     """
-    boxes = OrientedBoxes.from_corners(labels.corners)
-    rows = zip(
-        boxes.center.T.tolist(), boxes.length.tolist(), boxes.width.tolist(),
-        boxes.theta.tolist(), strict=True,
-    )
     message = Detection2DArray(header=header)
-    for i, ((x, y), length, width, theta) in enumerate(rows):
+    for i, (x, y, length, width, theta) in enumerate(_xywhr(labels.boxes(bow)).tolist()):
         detection = Detection2D(header=header, id=f'{labels.image}/{labels.ids[i] or i}')
         detection.bbox.center.position.x = x
         detection.bbox.center.position.y = y
@@ -275,14 +287,25 @@ def detections_message(labels: ImageLabels, header: Header) -> Detection2DArray:
     return message
 
 
-def yolo_message(labels: ImageLabels, header: Header) -> Any:
+def _xywhr(boxes: OrientedBoxes) -> FloatArray:
+    """Write boxes as `OrientedBoxes.from_xywhr` reads them, (N, 5)."""
+    rows = np.vstack((boxes.center, boxes.length, boxes.width, boxes.theta)).T
+    if boxes.bow is not None:
+        # A size along theta that is the shorter one says that the bow is not known.
+        unknown = ~boxes.bow
+        rows[unknown] = rows[unknown][:, [0, 1, 3, 2, 4]] + (0.0, 0.0, 0.0, 0.0, np.pi / 2.0)
+        rows[boxes.bow, 4] = np.arctan2(*boxes.first[::-1, boxes.bow])
+    return rows
+
+
+def yolo_message(labels: ImageLabels, header: Header, bow: BowSource = 'none') -> Any:
     """Write an image's labels as a `yolo_msgs/DetectionArray`; ids as in `detections_message`."""
     from yolo_msgs.msg import Detection
     from yolo_msgs.msg import DetectionArray
 
     class_ids = sorted(set(labels.class_ids))
     message = DetectionArray(header=header)
-    for each in detections_message(labels, header).detections:
+    for each in detections_message(labels, header, bow).detections:
         hypothesis = each.results[0].hypothesis
         detection = Detection(
             class_id=class_ids.index(hypothesis.class_id), class_name=hypothesis.class_id,
@@ -325,11 +348,11 @@ def polygon_message(corners: Sequence[Sequence[float]], header: Header) -> Polyg
     return PolygonStamped(header=header, polygon=Polygon(points=points))
 
 
-_MESSAGES: dict[str, Callable[[ImageLabels, Header], list[Any]]] = {
-    'Detection2DArray': lambda labels, header: [detections_message(labels, header)],
-    'DetectionArray': lambda labels, header: [yolo_message(labels, header)],
-    'Polygon2DCollection': lambda labels, header: [polygons_message(labels, header)],
-    'PolygonStamped': lambda labels, header: [
+_MESSAGES: dict[str, Callable[[ImageLabels, Header, BowSource], list[Any]]] = {
+    'Detection2DArray': lambda labels, header, bow: [detections_message(labels, header, bow)],
+    'DetectionArray': lambda labels, header, bow: [yolo_message(labels, header, bow)],
+    'Polygon2DCollection': lambda labels, header, _: [polygons_message(labels, header)],
+    'PolygonStamped': lambda labels, header, _: [
         polygon_message(corners, header) for corners in labels.corners.tolist()
     ],
 }

@@ -21,8 +21,10 @@ from ships import rows_of
 from std_msgs.msg import Header
 
 from obbhbb_ros import OrientedBoxes
+from obbhbb_ros import convert
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.nodes.play_detections import yolo_message
 
 DATA = Path(__file__).parents[1] / 'data'
@@ -79,6 +81,24 @@ def test_real_ships_as_yolo_detections_become_their_boxes(yolo_node: Converter) 
             for box in (each.bbox for each in given)
         ]
         np.testing.assert_array_equal(rows_of(answer), axis_aligned(rows))
+
+
+@pytest.mark.parametrize('input_type', ['Detection2DArray', 'DetectionArray'])
+def test_the_player_tells_the_node_where_the_bow_is(
+    start: Callable[..., Converter], input_type: str
+) -> None:
+    if input_type == 'DetectionArray':
+        pytest.importorskip('yolo_msgs')
+    ends = {'q_bow': 2.2, 'q_stern': 4.2}
+    node = start(parameters={'input_type': input_type, 'heading': 'theta', **ends})
+    node.connect()
+    write = {'Detection2DArray': detections_message, 'DetectionArray': yolo_message}[input_type]
+    for labels in read_labels(DATA / 'real_ships.csv'):
+        answer = rows_of(node.convert(write(labels, Header(), 'first-edge')))
+        xyxy = convert(labels.boxes('first-edge'), **ends)
+        expected = np.hstack(((xyxy[:, :2] + xyxy[:, 2:]) / 2.0, xyxy[:, 2:] - xyxy[:, :2]))
+        # Corners were rounded: not all are rectangles to the last bit.
+        np.testing.assert_allclose(answer[:, :4], expected, atol=0.01)
 
 
 def test_an_input_type_that_is_not_installed_is_an_error_that_names_it(
