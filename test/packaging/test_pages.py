@@ -241,6 +241,12 @@ def test_a_parameter_that_is_set_exists_and_takes_the_value(words: list[str]) ->
     spec.check(type(spec.default)(value.removeprefix('.')))
 
 
+@shown('ros2', 'param', 'get')
+def test_a_parameter_that_is_read_exists(words: list[str]) -> None:
+    _, _, _, node, name = words
+    assert name in {spec.name for spec in NODE_TABLES[node.lstrip('/')].rows}
+
+
 @shown('ros2', 'lifecycle', 'set')
 def test_a_node_whose_state_is_set_exists(words: list[str]) -> None:
     assert words[3].lstrip('/') in EXECUTABLES
