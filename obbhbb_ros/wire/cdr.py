@@ -19,6 +19,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 from typing import NamedTuple
 from typing import TypeAlias
@@ -477,23 +478,23 @@ class Elements:
 
     def _walk_at_once(self, start: int) -> int | None:
         """Find the fields of all elements together; None if sequences in them differ in length."""
-        found: dict[str, IntArray] = {}
         gaps: list[tuple[IntArray, IntArray]] = []
-        try:
-            starts = self._likely_starts(start)
-            ends = walk_all(self._lengths, starts, self._element, found, gaps)
-            # That they do start there is certain if each ends where the next one starts.
-            if len(starts) != self.count or starts[0] != start + 3 & -4 or (
-                ends[:-1] + 3 & -4 != starts[1:]
-            ).any():
-                raise UnevenError
-        except (IndexError, UnevenError):
+        # Each way takes longer than the one before, and finds more.
+        for find in (self._likely_starts, partial(self._starts, depth=2), self._starts):
+            found: dict[str, IntArray] = {}
             gaps.clear()
-            starts = np.array(self._starts(start), np.int64)
+            starts = find(start)
+            if len(starts) != self.count or starts[0] != start + 3 & -4:
+                continue
             try:
                 ends = walk_all(self._lengths, starts, self._element, found, gaps)
-            except UnevenError:
-                return None
+            except (IndexError, UnevenError):
+                continue
+            # Elements start there for certain if each ends where the next one starts.
+            if (ends[:-1] + 3 & -4 == starts[1:]).all():
+                break
+        else:
+            return None
         found[ENDS] = ends
         self._at_once = found
         before, after = (np.concatenate(each) for each in zip(*gaps, strict=True))
@@ -522,8 +523,12 @@ class Elements:
             places = places[words[places + mark] == words[first + mark]]
         return 4 * places - before.length
 
-    def _starts(self, at: int) -> list[int]:
-        """Find where elements start; one with the lengths of an earlier one is not walked over."""
+    def _starts(self, at: int, depth: int | None = None) -> IntArray:
+        """
+        Find where elements start; one with the lengths of an earlier one is not walked over.
+
+        With a `depth`, only its first lengths are compared.
+        """
         words, starts = self._scalars, []
         # For starts at an even and at an odd word: a tree that leads by lengths to the size.
         trees: tuple[_Tree, _Tree] = ({}, {})
@@ -537,10 +542,16 @@ class Elements:
                 at += node
             except (IndexError, KeyError):
                 found: Found = defaultdict(list)
-                end = self._walk_element(number, at, found, [])
-                _learn(trees[at >> 2 & 1], words, self._element, at, end, found)
+                try:
+                    end = self._walk_element(number, at, found, [])
+                except WireError:
+                    if depth is None:
+                        raise
+                    # An element before this one was another than it seemed.
+                    return np.array([], np.int64)
+                _learn(trees[at >> 2 & 1], words, self._element, at, end, found, depth)
                 at = end
-        return starts
+        return np.array(starts, np.int64)
 
     def _walk_element(
         self, number: int, at: int, found: Found, gaps: list[tuple[int, int]]
@@ -580,12 +591,18 @@ class Elements:
 
 
 def _learn(
-    tree: _Tree, words: memoryview, steps: Sequence[Step], start: int, end: int, found: Found
+    tree: _Tree,
+    words: memoryview,
+    steps: Sequence[Step],
+    start: int,
+    end: int,
+    found: Found,
+    depth: int | None,
 ) -> None:
-    """Make a tree lead to the size of an element by its lengths."""
+    """Make a tree lead to the size of an element by its first lengths."""
     places = sorted(
         at for step in _flat(steps) if step.kind is not Numbers for at in found[step.path]
-    )
+    )[:depth]
     for at in places[:-1]:
         tree[_OFFSET] = at - start
         tree = tree.setdefault(words[at >> 2], {})
