@@ -165,9 +165,10 @@ def _evaluate(options: _Options) -> int:
         print('no reference boxes: protocol obb only\n', file=sys.stderr)
         protocols = ('obb',)
     scores = evaluation.evaluate(ships, chosen, protocols, settings)
-    print(tables.score_tables(scores, settings))
+    found = evaluation.offsets(ships, chosen, settings) if 'hbb' in protocols else []
+    print(tables.score_tables(scores, settings, found))
     if options.json:
-        evaluation.write_json(options.json, scores, settings)
+        evaluation.write_json(options.json, scores, settings, found)
     if options.csv:
         evaluation.write_csv(options.csv, scores)
     if options.plot:

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import OnError
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.study.matching import match_references
+from obbhbb_ros.study.metrics import outlines
 from obbhbb_ros.study.progress import track
 
 
@@ -119,6 +121,11 @@ class Ships:
         """Whether each ship has a reference box with an area, shape (N,)."""
         with np.errstate(invalid='ignore'):
             return np.asarray((self.reference[:, 2:] > self.reference[:, :2]).all(axis=1))
+
+    @cached_property
+    def outlines(self) -> NDArray[np.object_]:
+        """Hulls as geometries, shape (N,), see `obbhbb_ros.study.metrics.outlines`."""
+        return outlines(self.hulls)
 
     @property
     def tilt(self) -> FloatArray:
