@@ -3,7 +3,8 @@
 Arrays of oriented boxes, from corners, from centre, size and angle, or from polygons.
 
 Image coordinates: x to the right, y down, pixels, pixel i covering [i, i + 1). Axis-aligned
-extents are even in the angle and have period pi, so its sense of rotation does not matter.
+extents are even in the angle and have period pi, so its sense of rotation matters only where the
+angle points to the bow.
 """
 
 from __future__ import annotations
@@ -78,6 +79,8 @@ class OrientedBoxes:
     regular : bool
         True if no box has a defect and no conversion can overflow, so that callers can skip these
         checks.
+    bow : ndarray of bool, shape (N,), or None
+        Where the bow is known: it is then at ``center + first``. None: nowhere.
     """
 
     center: FloatArray
@@ -85,10 +88,13 @@ class OrientedBoxes:
     second: FloatArray
     defects: NDArray[np.uint8]
     regular: bool = False
+    bow: NDArray[np.bool_] | None = None
     _axes: tuple[FloatArray, FloatArray] | None = field(default=None, init=False)
 
     @classmethod
-    def from_corners(cls, corners: ArrayLike) -> OrientedBoxes:
+    def from_corners(
+        cls, corners: ArrayLike, bow: bool | NDArray[np.bool_] = False
+    ) -> OrientedBoxes:
         """
         Create boxes from their corners.
 
@@ -100,6 +106,9 @@ class OrientedBoxes:
             their mean edges, centred on each axis on the diagonal that is longer along it.
             Crossed corners have no area and are marked as empty; `from_polygons` accepts vertices
             in any order.
+        bow : bool or ndarray of bool, shape (N,)
+            True if the first two corners are the bow end, for all boxes or for each. Where they
+            are a long side the bow is not known.
 
         Examples
         --------
@@ -107,10 +116,17 @@ class OrientedBoxes:
         >>> boxes.length, boxes.width
         (array([60.]), array([20.]))
         """
-        return _in_blocks(_as_array(corners, 'corners', (4, 2)), _boxes_of_corners)
+        boxes = _in_blocks(_as_array(corners, 'corners', (4, 2)), _boxes_of_corners)
+        if bow is not False:
+            # The second edge leads away from the bow.
+            boxes.first, boxes.second = -boxes.second, boxes.first
+            boxes.bow = _along_first(boxes) & bow
+        return boxes
 
     @classmethod
-    def from_xywhr(cls, xywhr: ArrayLike) -> OrientedBoxes:
+    def from_xywhr(
+        cls, xywhr: ArrayLike, bow: bool | NDArray[np.bool_] = False
+    ) -> OrientedBoxes:
         """
         Create boxes from centre, size and angle.
 
@@ -119,14 +135,25 @@ class OrientedBoxes:
         xywhr : array_like, shape (N, 5)
             Centre x and y, extent along `theta`, extent across it (pixels), `theta` (radians from
             image +x).
+        bow : bool or ndarray of bool, shape (N,)
+            True if `theta` points to the bow, full circle, for all boxes or for each. The
+            direction is ``(cos(theta), sin(theta))`` in image coordinates, y down: clockwise on
+            the screen. Negate angles that are counter-clockwise. Where the extent along `theta`
+            is the shorter side the bow is not known.
 
         Examples
         --------
         >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]])
         >>> boxes.corners[0].tolist()
         [[20.0, 30.0], [80.0, 30.0], [80.0, 50.0], [20.0, 50.0]]
+        >>> boxes = OrientedBoxes.from_xywhr([[50, 40, 60, 20, 0], [50, 40, 20, 60, 0]], bow=True)
+        >>> boxes.bow
+        array([ True, False])
         """
-        return _in_blocks(_as_array(xywhr, 'xywhr', (5,)), _boxes_of_xywhr)
+        boxes = _in_blocks(_as_array(xywhr, 'xywhr', (5,)), _boxes_of_xywhr)
+        if bow is not False:
+            boxes.bow = _along_first(boxes) & bow
+        return boxes
 
     @classmethod
     def from_polygons(cls, polygons: Iterable[ArrayLike]) -> OrientedBoxes:
@@ -172,7 +199,7 @@ class OrientedBoxes:
         """Select boxes by any NumPy index of N rows: a slice, indices or a mask."""
         return OrientedBoxes(
             self.center[:, rows], self.first[:, rows], self.second[:, rows], self.defects[rows],
-            self.regular,
+            self.regular, None if self.bow is None else self.bow[rows],
         )
 
     @property
@@ -230,6 +257,15 @@ def longer_first(first: FloatArray, second: FloatArray) -> tuple[FloatArray, Flo
     if not swap.any():
         return first, second
     return np.where(swap, second, first), np.where(swap, first, second)
+
+
+def _along_first(boxes: OrientedBoxes) -> NDArray[np.bool_]:
+    """Find the boxes whose first edge is no shorter than the second, (N,)."""
+    with np.errstate(over='ignore', under='ignore'):
+        first, second = (edge[0] * edge[0] + edge[1] * edge[1]
+                         for edge in (boxes.first, boxes.second))
+    # False where a box has a defect, NaN, or its square overflows.
+    return (second <= first) & (first < np.inf)
 
 
 def range_defect(points: FloatArray) -> Defect:

@@ -23,6 +23,7 @@ from obbhbb_ros.files import write_text
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import images
 from obbhbb_ros.labels.axis_aligned import convert_file
+from obbhbb_ros.labels.records import BOW_SOURCES
 from obbhbb_ros.methods import METHODS
 from obbhbb_ros.study import calibration
 from obbhbb_ros.study import chip_costs
@@ -97,6 +98,12 @@ def _convert_options(add: _Add) -> None:
         help=f'format of OUT: {", ".join(written)}; default: by the suffix of OUT')
     add('--method', default=rule.method, help=f'{", ".join(METHODS)}; default: %(default)s')
     _add_numbers(add, rule, PARAMETERS)
+    for end in ('bow', 'stern'):
+        add(f'--q-{end}', type=float,
+            help=f'shape exponent of the {end} where the bow is known, 1 to inf; default: q')
+    add('--bow', choices=BOW_SOURCES, default='none',
+        help='where the bow is known: labels: as the labels say (head points of hrsc); first-edge: '
+        'the first two corners of every box are its bow end; default: %(default)s')
     add('--max-length', type=float, help='maximum of the longer side, pixels')
     add('--max-width', type=float, help='maximum of the shorter side, pixels')
     add('--diagnostics', action='store_true',
@@ -110,17 +117,21 @@ def _convert_options(add: _Add) -> None:
 def _convert(options: _Options) -> int:
     """Convert label files of oriented boxes to label files of axis-aligned boxes."""
     # Conversion makes many objects, and garbage collection would take a fifth of its time.
+    ends = {'q_bow': options.q_bow, 'q_stern': options.q_stern}
+    if options.bow == 'none' and any(q is not None for q in ends.values()):
+        note('obbhbb: --q-bow and --q-stern have no effect without --bow')
     gc.disable()
     try:
         tally = convert_file(
             options.source,
             options.target,
-            converter.HullRule(options.method, options.q, options.f, options.s),
+            converter.HullRule(options.method, options.q, options.f, options.s, **ends),
             converter.Caps(options.max_length, options.max_width),
             source_format=options.source_format,
             target_format=options.target_format,
             image_size=options.image_size,
             diagnostics=options.diagnostics,
+            bow=options.bow,
             report=note,
             progress=lambda images, total: track(images, 'converting', total),
         )

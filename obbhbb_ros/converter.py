@@ -37,7 +37,11 @@ class HullRule:
     f : float
         Fullness in (0, 2]: scales the half-width.
     s : float
-        Shrink factor in (0, 2]: scales the half-extents.
+        Shrink factor in (0, 2]: scales the half-extents, with a known bow on each side of the
+        oriented box's centre.
+    q_bow, q_stern : float or None
+        Shape exponents in [1, inf] of the two ends of a hull whose bow is known; None: q. Only
+        `superellipse` uses them; the other methods ignore the bow.
 
     Examples
     --------
@@ -51,15 +55,29 @@ class HullRule:
     q: float = 3.0
     f: float = 1.0
     s: float = 1.0
+    q_bow: float | None = None
+    q_stern: float | None = None
 
     def __post_init__(self) -> None:
         """Check every value."""
         get_method(self.method)
-        if not Q_RANGE[0] <= self.q <= Q_RANGE[1]:
-            raise ValueError(f'q must be in [{Q_RANGE[0]:g}, {Q_RANGE[1]:g}], not {self.q}')
+        for name, q in (('q', self.q), ('q_bow', self.q_bow), ('q_stern', self.q_stern)):
+            if q is not None and not Q_RANGE[0] <= q <= Q_RANGE[1]:
+                raise ValueError(f'{name} must be in [{Q_RANGE[0]:g}, {Q_RANGE[1]:g}], not {q}')
         for name, value, (low, high) in (('f', self.f, F_RANGE), ('s', self.s, S_RANGE)):
             if not low < value <= high:
                 raise ValueError(f'{name} must be in ({low:g}, {high:g}], not {value}')
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Shape exponents at the bow and at the stern."""
+        q_bow, q_stern = self.q_bow, self.q_stern
+        return self.q if q_bow is None else q_bow, self.q if q_stern is None else q_stern
+
+    @property
+    def uses_bow(self) -> bool:
+        """Whether a known bow changes the box."""
+        return METHODS[self.method].two_ended and self.ends != (self.q, self.q)
 
 
 PAPER_RULE = HullRule('shape_aware', q=2.2, f=0.9, s=1.0)
@@ -75,7 +93,7 @@ class Caps:
     ----------
     max_length, max_width : float or None
         Upper bounds of the longer and the shorter extent of the axis-aligned box, pixels; None
-        for no bound.
+        for no bound. A box that is too large keeps its centre.
     """
 
     max_length: float | None = None
@@ -113,7 +131,8 @@ class Conversion:
         Angle of its long axis from image +x, radians in [-pi/2, pi/2).
     t_x, t_y : ndarray, shape (N,)
         Where along the hull the box touches it, 0 amidships to 1 at the bow; NaN for rules that
-        do not touch a curve.
+        do not touch a curve. Where `q_bow` applies, on the bow's side; otherwise both sides are
+        alike.
     capped : ndarray of bool, shape (N,)
         Whether a bound changed the box.
     """
@@ -136,6 +155,8 @@ def convert(
     s: float = HullRule.s,
     max_length: float | None = None,
     max_width: float | None = None,
+    q_bow: float | None = None,
+    q_stern: float | None = None,
 ) -> FloatArray:
     """
     Convert oriented boxes to axis-aligned boxes.
@@ -150,7 +171,11 @@ def convert(
         Shape exponent in [1, inf], fullness and shrink factor in (0, 2]; used by the tunable
         methods only.
     max_length, max_width : float, optional
-        Upper bounds of the longer and the shorter extent of the result, pixels.
+        Upper bounds of the longer and the shorter extent of the result, pixels. A box that is too
+        large keeps its centre.
+    q_bow, q_stern : float, optional
+        Shape exponents in [1, inf] of the two ends where ``boxes.bow``; default: q. Such a box is
+        not centred on the oriented box. Used by `superellipse` only.
 
     Returns
     -------
@@ -169,10 +194,13 @@ def convert(
     >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]])
     >>> convert(boxes)
     array([[20., 30., 80., 50.]])
+    >>> to_the_right = OrientedBoxes.from_xywhr([[50, 40, 60, 20, np.pi / 4]], bow=True)
+    >>> convert(to_the_right, q_bow=1.0, q_stern=np.inf).round(1)
+    array([[21.7, 11.7, 71.2, 61.2]])
     """
     uncapped = max_length is None and max_width is None
     caps = NO_CAPS if uncapped else Caps(max_length, max_width)
-    return convert_by_rule(boxes, HullRule(method, q, f, s), caps)
+    return convert_by_rule(boxes, HullRule(method, q, f, s, q_bow, q_stern), caps)
 
 
 def convert_by_rule(boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS) -> FloatArray:
@@ -194,16 +222,14 @@ def convert_by_rule(boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS) 
         return xyxy
 
 
-def half_extents(
+def centers_and_extents(
     boxes: OrientedBoxes,
     rules: Sequence[HullRule],
     rule_of: NDArray[np.intp] | None = None,
     caps: Caps = NO_CAPS,
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray]:
     """
-    Compute half-extents along x and y, (2, N), with one rule per class.
-
-    Columns are NaN where the box cannot be converted.
+    Compute axis-aligned boxes as centres and half-extents, with one rule per class.
 
     Parameters
     ----------
@@ -214,6 +240,46 @@ def half_extents(
     caps : Caps
         Bounds of the result, the same for all.
 
+    Returns
+    -------
+    center : ndarray, shape (2, N)
+        x and y of the centres, pixels: those of the oriented boxes except where the bow is known
+        and its rule has `q_bow` or `q_stern`. Do not write to it: it may be ``boxes.center``.
+    half_extents : ndarray, shape (2, N)
+        Half-extents along x and y, pixels; columns are NaN where the box cannot be converted.
+
+    Examples
+    --------
+    >>> boxes = OrientedBoxes.from_xywhr([[50, 40, 60, 20, np.pi / 4]] * 2, bow=True)
+    >>> rules = HullRule('outer'), HullRule('superellipse', q_bow=1.0, q_stern=np.inf)
+    >>> center, half_extents = centers_and_extents(boxes, rules, np.array([0, 1]))
+    >>> center.T.round(1)
+    array([[50. , 40. ],
+           [46.5, 36.5]])
+    >>> half_extents.T.round(1)
+    array([[28.3, 28.3],
+           [24.7, 24.7]])
+    """
+    if boxes.regular:
+        return _all_placed(boxes, rules, rule_of, caps)
+    with np.errstate(invalid='ignore', over='ignore'):
+        center, extents = _all_placed(boxes, rules, rule_of, caps)
+        # The full size, which messages contain, is the first to overflow.
+        farthest = np.abs(center) + 2.0 * extents
+        if not math.isfinite(np.add.reduce(farthest, axis=None)):
+            extents[:, ~np.isfinite(farthest).all(axis=0)] = np.nan
+    return center, extents
+
+
+def half_extents(
+    boxes: OrientedBoxes,
+    rules: Sequence[HullRule],
+    rule_of: NDArray[np.intp] | None = None,
+    caps: Caps = NO_CAPS,
+) -> FloatArray:
+    """
+    Compute the half-extents of `centers_and_extents` alone, (2, N).
+
     Examples
     --------
     >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]] * 2)
@@ -222,15 +288,7 @@ def half_extents(
     array([[30., 10.],
            [15.,  5.]])
     """
-    if boxes.regular:
-        return _all_extents(boxes, rules, rule_of, caps)
-    with np.errstate(invalid='ignore', over='ignore'):
-        extents = _all_extents(boxes, rules, rule_of, caps)
-        # The full size, which messages contain, is the first to overflow.
-        farthest = np.abs(boxes.center) + 2.0 * extents
-        if not math.isfinite(np.add.reduce(farthest, axis=None)):
-            extents[:, ~np.isfinite(farthest).all(axis=0)] = np.nan
-    return extents
+    return centers_and_extents(boxes, rules, rule_of, caps)[1]
 
 
 def convert_with_diagnostics(
@@ -252,15 +310,18 @@ def convert_with_diagnostics(
     method = METHODS[rule.method]
     along, across = np.abs(boxes.long_axis), np.abs(boxes.short_axis)
     with np.errstate(invalid='ignore', over='ignore'):
-        t_x, t_y = method.contact(along, across * (rule.f if method.tunable else 1.0), rule.q)
+        across = across * (rule.f if method.tunable else 1.0)
+        t = method.contact(along, across, rule.q)
+        if boxes.bow is not None and rule.uses_bow:
+            t = np.where(boxes.bow, method.contact(along, across, rule.ends[0]), t)
     return Conversion(
         xyxy=xyxy,
         valid=valid,
         length=boxes.length,
         width=boxes.width,
         theta=boxes.theta,
-        t_x=np.where(valid, t_x, np.nan),
-        t_y=np.where(valid, t_y, np.nan),
+        t_x=np.where(valid, t[0], np.nan),
+        t_y=np.where(valid, t[1], np.nan),
         capped=valid & (xyxy != uncapped).any(axis=1),
     )
 
@@ -286,34 +347,34 @@ def _all_xyxy(boxes: OrientedBoxes, rule: HullRule, caps: Caps) -> FloatArray:
     """Convert all boxes block by block, (N, 4)."""
     xyxy = np.empty((len(boxes), 4))
     for rows in blocks(len(boxes)):
-        to_xyxy(boxes.center[:, rows], _extents(boxes, rule, caps, rows), out=xyxy[rows])
+        to_xyxy(*_placed(boxes, rule, caps, rows), out=xyxy[rows])
     return xyxy
 
 
-def _all_extents(
+def _all_placed(
     boxes: OrientedBoxes,
     rules: Sequence[HullRule],
     rule_of: NDArray[np.intp] | None,
     caps: Caps,
-) -> FloatArray:
-    """Compute the half-extents of all boxes, block by block or rule by rule, (2, N)."""
+) -> tuple[FloatArray, FloatArray]:
+    """Compute centres and half-extents of all boxes, block by block or rule by rule."""
     if rule_of is None and len(boxes) <= BLOCK:
-        return _extents(boxes, rules[0], caps, slice(None))
-    extents = np.empty((2, len(boxes)))
+        return _placed(boxes, rules[0], caps, slice(None))
+    center, extents = np.empty((2, 2, len(boxes)))
     if rule_of is None:
         for rows in blocks(len(boxes)):
-            extents[:, rows] = _extents(boxes, rules[0], caps, rows)
+            center[:, rows], extents[:, rows] = _placed(boxes, rules[0], caps, rows)
     else:
         for index in np.unique(rule_of).tolist():
             mine = np.flatnonzero(rule_of == index)
-            extents[:, mine] = _extents(boxes, rules[index], caps, mine)
-    return extents
+            center[:, mine], extents[:, mine] = _placed(boxes, rules[index], caps, mine)
+    return center, extents
 
 
-def _extents(
+def _placed(
     boxes: OrientedBoxes, rule: HullRule, caps: Caps, rows: slice | NDArray[np.intp]
-) -> FloatArray:
-    """Compute the half-extents of some rows, (2, n)."""
+) -> tuple[FloatArray, FloatArray]:
+    """Compute centres and half-extents of some rows, (2, n) each."""
     method = METHODS[rule.method]
     f = rule.f if method.tunable else 1.0
     along, across = np.abs(boxes.first[:, rows]), np.abs(boxes.second[:, rows])
@@ -321,10 +382,30 @@ def _extents(
         along, across = longer_first(along, across)
     if f != 1.0:
         across = across * f
-    extents = method.half_extents(along, across, rule.q)
+    center, extents = boxes.center[:, rows], method.half_extents(along, across, rule.q)
+    if boxes.bow is not None and rule.uses_bow:
+        known = np.flatnonzero(boxes.bow[rows])
+        first = boxes.first[:, rows][:, known]
+        shift, extents[:, known] = _two_ended(first, across[:, known], rule)
+        center = center.copy()
+        center[:, known] += shift * rule.s
     if method.tunable and rule.s != 1.0:
         extents *= rule.s
-    return _capped(extents, caps) if caps.given else extents
+    return center, _capped(extents, caps) if caps.given else extents
+
+
+def _two_ended(
+    bow: FloatArray, across: FloatArray, rule: HullRule
+) -> tuple[FloatArray, FloatArray]:
+    """
+    Project hulls of two half superellipses, with `bow` half the length as a vector to the bow.
+
+    The bow's side decides how far the hull reaches in the direction of the bow, the stern's side
+    how far in the other. Returns the shift of the centre and the half-extents, (2, n) each.
+    """
+    superellipse, along = METHODS[rule.method].half_extents, np.abs(bow)
+    ahead, astern = (0.5 * superellipse(along, across, q) for q in rule.ends)
+    return np.sign(bow) * (ahead - astern), ahead + astern
 
 
 def _capped(extents: FloatArray, caps: Caps) -> FloatArray:

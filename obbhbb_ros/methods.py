@@ -203,6 +203,8 @@ class Method:
         Whether `along` and `across` can be swapped, so that the sides need no sorting.
     onboard : bool
         Whether the node offers the rule; the others only reproduce the paper's tables.
+    two_ended : bool
+        Whether `q_bow` and `q_stern` apply where the bow is known; if not, it is ignored.
     """
 
     name: str
@@ -212,6 +214,7 @@ class Method:
     tunable: bool = False
     symmetric: bool = True
     onboard: bool = True
+    two_ended: bool = False
 
 
 METHODS: MappingProxyType[str, Method] = MappingProxyType({
@@ -219,7 +222,7 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType({
     for method in (
         Method(
             'superellipse', superellipse, superellipse_contact,
-            'exact projection of the superellipse hull', tunable=True,
+            'exact projection of the superellipse hull', tunable=True, two_ended=True,
         ),
         Method(
             'shape_aware', shape_aware, shape_aware_contact,

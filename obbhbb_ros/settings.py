@@ -337,9 +337,7 @@ def _settings(values: Mapping[str, Any]) -> Settings:
 def _class_rule(values: Mapping[str, Any], class_id: str) -> HullRule:
     """Make the rule of a class; the node's values apply where the class has none."""
     prefix = f'classes.{class_id}.'
-    own = {
-        field.name: values[prefix + field.name] or values[field.name] for field in fields(HullRule)
-    }
+    own = {name: values[prefix + name] or values[name] for name in ('method', 'q', 'f', 's')}
     try:
         return HullRule(**own)
     except ValueError as error:

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from obbhbb_ros.boxes import Defect
-from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.converter import NO_CAPS
 from obbhbb_ros.converter import Caps
 from obbhbb_ros.converter import Conversion
@@ -31,6 +30,7 @@ from obbhbb_ros.labels.formats import format_named
 from obbhbb_ros.labels.formats import read_labels
 from obbhbb_ros.labels.formats import write_boxes
 from obbhbb_ros.labels.images import stored_size
+from obbhbb_ros.labels.records import BowSource
 from obbhbb_ros.labels.records import ImageBoxes
 from obbhbb_ros.labels.records import ImageLabels
 from obbhbb_ros.labels.records import LabelError
@@ -53,12 +53,15 @@ class Tally:
         Boxes that cannot be converted, by reason.
     malformed : int
         Records that could not be read.
+    bows : int or None
+        Boxes whose bow is known; None if it does not matter.
     """
 
     images: int
     boxes: int
     left_out: Mapping[str, int]
     malformed: int
+    bows: int | None = None
 
     @property
     def complete(self) -> bool:
@@ -73,25 +76,32 @@ class Tally:
     def __str__(self) -> str:
         """Return the counts in one line."""
         reasons = ', '.join(f'{count} {reason}' for reason, count in self.left_out.items())
+        bows = '' if self.bows is None else f' ({self.bows} with a known bow)'
         return (
-            f'{self.images} images, {self.boxes} boxes converted, '
+            f'{self.images} images, {self.boxes} boxes converted{bows}, '
             f'{sum(self.left_out.values())} left out{f" ({reasons})" if reasons else ""}, '
             f'{self.malformed} malformed records skipped'
         )
 
 
 def convert_image(
-    labels: ImageLabels, rule: HullRule, caps: Caps = NO_CAPS, diagnostics: bool = False
+    labels: ImageLabels,
+    rule: HullRule,
+    caps: Caps = NO_CAPS,
+    diagnostics: bool = False,
+    bow: BowSource = 'none',
 ) -> tuple[ImageBoxes, dict[int, str]]:
     """
     Convert the boxes of an image, and keep how each was computed if `diagnostics`.
+
+    `bow` says how the bow is known, as in `ImageLabels.boxes`.
 
     Returns
     -------
     ImageBoxes, dict of int to str
         The boxes that could be converted, and the reason for each row that could not.
     """
-    boxes = OrientedBoxes.from_corners(labels.corners)
+    boxes = labels.boxes(bow)
     conversion = convert_with_diagnostics(boxes, rule, caps) if diagnostics else None
     xyxy = convert_by_rule(boxes, rule, caps) if conversion is None else conversion.xyxy
     # The area must be finite too, since COCO files contain it.
@@ -126,6 +136,7 @@ def convert_labels(
     caps: Caps = NO_CAPS,
     *,
     diagnostics: bool = False,
+    bow: BowSource = 'none',
     report: Callable[[str], None],
 ) -> tuple[list[ImageBoxes], Tally]:
     """
@@ -135,14 +146,17 @@ def convert_labels(
     """
     done = []
     reasons: Counter[str] = Counter()
+    bows = None if bow == 'none' else 0
     for labels in images:
-        image, bad = convert_image(labels, rule, caps, diagnostics)
+        image, bad = convert_image(labels, rule, caps, diagnostics, bow)
+        if bows is not None and (known := labels.boxes(bow).bow) is not None:
+            bows += np.count_nonzero(known)
         done.append(image)
         reasons.update(bad.values())
         for row, reason in bad.items():
             report(f'{labels.source}: image {labels.image!r}: box {row + 1} left out: {reason}')
     boxes = sum(len(image.class_ids) for image in done)
-    return done, Tally(len(done), boxes, dict(reasons), 0)
+    return done, Tally(len(done), boxes, dict(reasons), 0, bows)
 
 
 def convert_file(
@@ -155,6 +169,7 @@ def convert_file(
     target_format: str | None = None,
     image_size: tuple[int, int] | None = None,
     diagnostics: bool = False,
+    bow: BowSource = 'none',
     report: Callable[[str], None],
     progress: Progress = lambda images, _: images,
 ) -> Tally:
@@ -167,8 +182,9 @@ def convert_file(
     ----------
     source, target : Path
         Label file or folder to read, and to write.
-    rule, caps, diagnostics
-        How to convert, and whether to write how each box was computed.
+    rule, caps, diagnostics, bow
+        How to convert, whether to write how each box was computed, and how the bow is known, as in
+        `ImageLabels.boxes`.
     source_format, target_format : str, optional
         Names of `obbhbb_ros.labels.FORMATS`; by default the first is detected and the second
         follows from the suffix of `target`.
@@ -199,7 +215,7 @@ def convert_file(
     labels = read_labels(source, reads.name, image_size=image_size, on_error=skip)
     total = len(label_files(source, reads.suffixes)) if source.is_dir() else None
     images, tally = convert_labels(
-        progress(labels, total), rule, caps, diagnostics=diagnostics, report=report
+        progress(labels, total), rule, caps, diagnostics=diagnostics, bow=bow, report=report
     )
     tally = replace(tally, malformed=len(malformed))
     if tally.readable:

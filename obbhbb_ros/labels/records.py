@@ -11,13 +11,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from typing import Literal
 from typing import NamedTuple
 from typing import NoReturn
+from typing import TypeAlias
 from typing import TypeVar
+from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.converter import Conversion
 
 FloatArray = npt.NDArray[np.float64]
@@ -26,6 +30,9 @@ ImageSize = tuple[int, int]
 NO_REFERENCE = (float('nan'),) * 4
 MIN_HULL_POINTS = 3
 DIAGNOSTICS = ('length', 'width', 'theta', 't_x', 't_y', 'capped')
+
+BowSource: TypeAlias = Literal['none', 'labels', 'first-edge']
+BOW_SOURCES: tuple[BowSource, ...] = get_args(BowSource)
 
 Value = float | bool | None
 Item = TypeVar('Item')
@@ -95,6 +102,9 @@ class ImageLabels:
         Image width and height in pixels where known.
     source : Path
         The file the labels came from.
+    bow : ndarray of bool or None
+        Which labels say where the bow is, shape (N,): the first two corners are the bow end. None
+        if none does.
 
     Raises
     ------
@@ -111,18 +121,35 @@ class ImageLabels:
     hulls: tuple[FloatArray | None, ...]
     size: ImageSize | None
     source: Path
+    bow: npt.NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         """Check that all fields have the same number of boxes."""
         count = len(self.class_ids)
-        wanted = {'corners': (count, 4, 2), 'scores': (count,), 'reference': (count, 4)}
+        wanted = {
+            'corners': (count, 4, 2), 'scores': (count,), 'reference': (count, 4), 'bow': (count,),
+        }
         for name, shape in wanted.items():
-            got = getattr(self, name).shape
+            values = getattr(self, name)
+            got = shape if values is None else values.shape
             if got != shape:
                 raise ValueError(f'{name} has shape {got}, not {shape} for {count} class_ids')
         for name, values in (('ids', self.ids), ('hulls', self.hulls)):
             if len(values) != count:
                 raise ValueError(f'{name} has {len(values)} entries for {count} class_ids')
+
+    def boxes(self, bow: BowSource = 'none') -> OrientedBoxes:
+        """
+        Return the oriented boxes.
+
+        The bow is known where the labels say so (`labels`), at the first two corners of every box
+        (`first-edge`), or nowhere (`none`). Where these are a long side it is not known.
+        """
+        if bow not in BOW_SOURCES:
+            raise ValueError(f'bow must be one of {", ".join(BOW_SOURCES)}, not {bow!r}')
+        if bow == 'labels' and self.bow is not None:
+            return OrientedBoxes.from_corners(self.corners, bow=self.bow)
+        return OrientedBoxes.from_corners(self.corners, bow=bow == 'first-edge')
 
 
 class BoxRow(NamedTuple):
@@ -198,7 +225,8 @@ class Box(NamedTuple):
     """
     One record of a label file, as a format's parser returns it.
 
-    `corners` holds x1 y1 … x4 y4, `reference` x1 y1 x2 y2, all in pixels.
+    `corners` holds x1 y1 … x4 y4, `reference` x1 y1 x2 y2, all in pixels. With `bow`, the first
+    two corners are the bow end.
     """
 
     corners: Sequence[float]
@@ -207,6 +235,7 @@ class Box(NamedTuple):
     score: float = 1.0
     reference: Sequence[float] = NO_REFERENCE
     hull: FloatArray | None = None
+    bow: bool = False
 
 
 @dataclass(frozen=True)
@@ -265,6 +294,7 @@ def assemble(
         hulls=tuple(box.hull for box in boxes),
         size=size,
         source=source,
+        bow=np.array([box.bow for box in boxes]) if any(box.bow for box in boxes) else None,
     )
 
 

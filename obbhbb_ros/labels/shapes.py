@@ -80,6 +80,23 @@ def oriented_corners(x: float, y: float, width: float, height: float, angle: flo
     )  # fmt: skip
 
 
+def bow_first(corners: Corners, head: tuple[float, float]) -> tuple[Corners, bool]:
+    """
+    Order the corners of a box so that the first two are the end where the ship's `head` is.
+
+    Returns the corners and True, or unchanged and False if `head` is further than a quarter of the
+    length from the middle of both ends.
+    """
+    points = [corners[i : i + 2] for i in range(0, 8, 2)]
+    sides = [math.dist(points[0], points[1]), math.dist(points[1], points[2])]
+    length = max(sides)
+    for start in (1, 3) if sides[0] > sides[1] else (0, 2):
+        (x1, y1), (x2, y2) = points[start], points[(start + 1) % 4]
+        if math.dist(head, ((x1 + x2) / 2, (y1 + y2) / 2)) <= length / 4:
+            return (*corners[2 * start :], *corners[: 2 * start]), True  # type: ignore[return-value]
+    return corners, False
+
+
 def _check_size(width: float, height: float) -> None:
     if width < 0.0 or height < 0.0:
         raise ValueError(f'the box has a negative size: {width} x {height}')

@@ -12,9 +12,12 @@ HRSC2016 has the oriented and the axis-aligned box of each ship::
           <Object_ID>100000003</Object_ID> <Class_ID>100000013</Class_ID>
           <box_xmin>628</box_xmin> … <box_ymax>783</box_ymax>
           <mbox_cx>719.9</mbox_cx> … <mbox_h>172.7</mbox_h> <mbox_ang>1.499893</mbox_ang>
+          <header_x>692</header_x> <header_y>41</header_y>
 
 ``mbox_ang`` is in radians from image +x towards +y, along ``mbox_w``. A ship without ``mbox_…``
-is read as the upright box of its ``box_…``. Difficulty, head point and segmentation are not read.
+is read as the upright box of its ``box_…``. The head point, ``header_…``, says where the bow is if
+it lies within a quarter of the length from the middle of one end of the oriented box; if it is
+missing, 0 0 or anywhere else, the bow is not known. Difficulty and segmentation are not read.
 An image without a file name or id is named after the label file.
 
 Pascal VOC::
@@ -62,6 +65,7 @@ from obbhbb_ros.labels.text import parse_number
 
 HRSC_ROOT = 'HRSC_Image'
 HRSC_ORIENTED = ('mbox_cx', 'mbox_cy', 'mbox_w', 'mbox_h', 'mbox_ang')
+HRSC_HEAD = ('header_x', 'header_y')
 HRSC_BOUNDS = ('box_xmin', 'box_ymin', 'box_xmax', 'box_ymax')
 VOC_ROOT = 'annotation'
 VOC_BOUNDS = ('xmin', 'ymin', 'xmax', 'ymax')
@@ -136,12 +140,25 @@ def _parse_xml(file: LabelFile) -> tuple[Element, dict[Element, int]]:
 def _parse_hrsc(element: Element) -> Box:
     given = _has_any(element, HRSC_BOUNDS)
     reference = _numbers(element, HRSC_BOUNDS) if given else NO_REFERENCE
+    bow = False
     if _has_any(element, HRSC_ORIENTED) or not given:
         corners = shapes.oriented_corners(*_numbers(element, HRSC_ORIENTED))
+        if (head := _head(element)) is not None:
+            corners, bow = shapes.bow_first(corners, head)
     else:
         corners = shapes.upright_corners(reference)
     class_id, number = _text(element, 'Class_ID'), _text(element, 'Object_ID')
-    return Box(corners, class_id, number, reference=reference)
+    return Box(corners, class_id, number, reference=reference, bow=bow)
+
+
+def _head(element: Element) -> tuple[float, float] | None:
+    try:
+        x, y = _numbers(element, HRSC_HEAD)
+    except ValueError:
+        # The box is good without it.
+        return None
+    # Where nobody marked it, the data set has 0, 0.
+    return (x, y) if (x, y) != (0.0, 0.0) else None
 
 
 def _parse_voc(element: Element) -> Box:

@@ -12,7 +12,7 @@ from typing import Any
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.converter import PAPER_RULE
 from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import half_extents
+from obbhbb_ros.converter import centers_and_extents
 from obbhbb_ros.converter import to_xyxy
 from obbhbb_ros.methods import METHODS
 from obbhbb_ros.study.ships import Ships
@@ -53,4 +53,4 @@ def convert_by_class(
     rules = [*rule_of_class.values(), rule]
     # The index of a class without a rule, -1, is that of the last rule.
     rule_of = ships.class_index(rule_of_class) % len(rules)
-    return to_xyxy(ships.boxes.center, half_extents(ships.boxes, rules, rule_of))
+    return to_xyxy(*centers_and_extents(ships.boxes, rules, rule_of))
