@@ -13,10 +13,11 @@ from obbhbb_ros.converter import HullRule
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import metrics
+from obbhbb_ros.study.calibration import LEAST_GAIN
 from obbhbb_ros.study.calibration import OBJECTIVES
-from obbhbb_ros.study.calibration import Plan
 from obbhbb_ros.study.chip_costs import ENCODERS
 from obbhbb_ros.study.chip_costs import Cost
+from obbhbb_ros.study.cross_validation import CALIBRATED
 from obbhbb_ros.study.cross_validation import Outcome
 from obbhbb_ros.study.paper_table import Comparison
 from obbhbb_ros.study.rules import TUNABLE_METHODS
@@ -146,6 +147,8 @@ def outcome_text(outcome: Outcome) -> str:
     ]
     if outcome.held_out:
         parts.append(_held_out_table(outcome))
+    if trials := _trial_lines(outcome):
+        parts.append('\n'.join(trials))
     if outcome.rule_of_aspect:
         bands = [
             (f'{low:.2f} to {high:.2f}', _parameters(rule))
@@ -158,7 +161,7 @@ def outcome_text(outcome: Outcome) -> str:
         classes = [(name, _parameters(rule)) for name, rule in outcome.rule_of_class.items()]
         parts.append(text_table(('class', 'rule'), classes))
     if plan.objective == 'coverage':
-        parts.append(_guarantee(plan))
+        parts.append(_guarantee(outcome))
     return '\n\n'.join(parts + outcome.notes)
 
 
@@ -179,19 +182,51 @@ def _held_out_table(outcome: Outcome) -> str:
     return text_table(head, rows)
 
 
-def _guarantee(plan: Plan) -> str:
-    """State what a calibration for coverage guarantees, and under which assumption."""
+def _trial_lines(outcome: Outcome) -> list[str]:
+    """Say what was tried beside q, what it gained and whether it was fitted."""
+    plan, trials = outcome.plan, outcome.trials
+    tried = {
+        ('f' if plan.objective == 'coverage' else 'f and s') + ' over q alone': trials.over_q,
+        f'q_bow and q_stern over q, {outcome.ships.with_bow.sum()} ships with a known bow':
+            trials.ends,
+    }
+    unit = OBJECTIVES[plan.objective].unit
+    return [
+        f'{name}: gain {gain:+.4f} of held-out {unit}, fitted' if gain >= LEAST_GAIN else
+        f'{name}: gain none ({gain:+.4f} of held-out {unit}, below {LEAST_GAIN:g}), not fitted'
+        for name, gain in tried.items() if gain is not None
+    ]
+
+
+def _guarantee(outcome: Outcome) -> str:
+    """State what a calibration for coverage guarantees, on what condition, and its scatter."""
+    plan = outcome.plan
     unit = 'ships' if plan.per_image == 1 else f'images of at most {plan.per_image} ships'
-    return (
+    text = (
         f'Guarantee: a new ship keeps {plan.keep:.0%} of its reference box with a probability of '
         f'at least {plan.share:.0%},\nif new {unit} are exchangeable with those that gave s '
         '(half of the images; the others gave q and f).'
     )
+    if outcome.covered:
+        low, high = outcome.covered
+        text += (
+            f'\nIt holds on average. One calibration, counted on as many new images, lands between '
+            f'{low:.1%} and {high:.1%}\n(95 % interval over images; ships of an image are alike).'
+        )
+    if outcome.held_out:
+        low, high = outcome.interval(CALIBRATED, 'kept')
+        share = outcome.held_out[CALIBRATED]['kept'].mean()
+        text += (
+            f'\nHeld out, {share:.1%} of the ships keep it ({low:.1%} to {high:.1%}, '
+            '95 % interval over images).'
+        )
+    return text
 
 
 def _parameters(rule: HullRule) -> str:
     """Format the parameters of a rule."""
-    return f'q {rule.q:.4g}, f {rule.f:.4g}, s {rule.s:.4g}'
+    values = {'q': rule.q, 'f': rule.f, 's': rule.s, 'q_bow': rule.q_bow, 'q_stern': rule.q_stern}
+    return ', '.join(f'{name} {each:.4g}' for name, each in values.items() if each is not None)
 
 
 def comparison_table(found: Sequence[Comparison]) -> str:
