@@ -119,8 +119,10 @@ class OrientedBoxes:
         boxes = _in_blocks(_as_array(corners, 'corners', (4, 2)), _boxes_of_corners)
         if bow is not False:
             # The second edge leads away from the bow.
-            boxes.first, boxes.second = -boxes.second, boxes.first
-            boxes.bow = _along_first(boxes) & bow
+            ahead, aside = -boxes.second, boxes.first
+            boxes.bow = known = _known_bows(ahead, aside, bow)
+            boxes.first = np.where(known, ahead, boxes.first)
+            boxes.second = np.where(known, aside, boxes.second)
         return boxes
 
     @classmethod
@@ -152,7 +154,7 @@ class OrientedBoxes:
         """
         boxes = _in_blocks(_as_array(xywhr, 'xywhr', (5,)), _boxes_of_xywhr)
         if bow is not False:
-            boxes.bow = _along_first(boxes) & bow
+            boxes.bow = _known_bows(boxes.first, boxes.second, bow)
         return boxes
 
     @classmethod
@@ -259,13 +261,14 @@ def longer_first(first: FloatArray, second: FloatArray) -> tuple[FloatArray, Flo
     return np.where(swap, second, first), np.where(swap, first, second)
 
 
-def _along_first(boxes: OrientedBoxes) -> NDArray[np.bool_]:
-    """Find the boxes whose first edge is no shorter than the second, (N,)."""
-    with np.errstate(over='ignore', under='ignore'):
-        first, second = (edge[0] * edge[0] + edge[1] * edge[1]
-                         for edge in (boxes.first, boxes.second))
+def _known_bows(
+    ahead: FloatArray, aside: FloatArray, asked: bool | NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Find where the bow is at the end of half edges `ahead`, (2, N): those not the shorter."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        length, width = (edge[0] * edge[0] + edge[1] * edge[1] for edge in (ahead, aside))
     # False where a box has a defect, NaN, or its square overflows.
-    return (second <= first) & (first < np.inf)
+    return (width <= length) & (length < np.inf) & np.broadcast_to(asked, length.shape)
 
 
 def range_defect(points: FloatArray) -> Defect:

@@ -398,13 +398,13 @@ def _two_ended(
     bow: FloatArray, across: FloatArray, rule: HullRule
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Project hulls of two half superellipses, with `bow` half the length as a vector to the bow.
+    Project hulls of two half superellipses; `bow` points from the centre to the bow, (2, n).
 
-    The bow's side decides how far the hull reaches in the direction of the bow, the stern's side
-    how far in the other. Returns the shift of the centre and the half-extents, (2, n) each.
+    The half at the bow decides how far a hull reaches on the bow's side of the centre, that at the
+    stern how far on the other. Returns the shift of the centre and the half-extents, (2, n) each.
     """
-    superellipse, along = METHODS[rule.method].half_extents, np.abs(bow)
-    ahead, astern = (0.5 * superellipse(along, across, q) for q in rule.ends)
+    project, along = METHODS[rule.method].half_extents, np.abs(bow)
+    ahead, astern = (0.5 * project(along, across, q) for q in rule.ends)
     return np.sign(bow) * (ahead - astern), ahead + astern
 
 

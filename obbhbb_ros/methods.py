@@ -15,6 +15,9 @@ arrays of shape (2, N), pixels, not negative, with the shape exponent q in [1, i
 half-extents of the axis-aligned box, shape (2, N), pixels. All are homogeneous of degree one: a
 shrink factor or a ground sample distance can be applied before or after.
 
+Where the bow is known, `superellipse` is called once for each end with an exponent of its own. All
+other rules ignore the bow.
+
 Equation, table and algorithm numbers are those of the paper, "Shape-Aware Oriented Bounding Box
 (OBB) to Horizontal Bounding Box (HBB) Conversion".
 """

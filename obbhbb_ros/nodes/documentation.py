@@ -27,7 +27,8 @@ from obbhbb_ros.settings import OBB_TO_HBB
 from obbhbb_ros.settings import Parameter
 from obbhbb_ros.settings import ParameterTable
 
-PAPER = asdict(PAPER_RULE)
+# What the rule leaves open keeps its default.
+PAPER = {name: value for name, value in asdict(PAPER_RULE).items() if value is not None}
 NODE_TABLES: dict[str, ParameterTable[Any]] = {
     'obb_to_hbb': OBB_TO_HBB,
     'chip_extractor': CHIP_EXTRACTOR,

@@ -276,6 +276,46 @@ def test_progress_gets_the_images_and_the_number_of_files_of_a_folder(
     assert seen == [total, 'P1', 'P2'][: 3 if total else 2]
 
 
+def test_the_bow_may_be_at_the_first_edge_of_every_box(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    # The bow of the first ship is up and to the left; the first edge of the other is a long side.
+    path = tmp_path / 'P1.txt'
+    path.write_text('0 14 14 0 64 50 50 64 ship 0\n50 20 10 20 10 10 50 10 ship 0\n')
+    ends = ('--q-bow', 1, '--q-stern', 'inf')
+    assert _run(path, tmp_path / 'out.csv', '--bow', 'first-edge', *ends) == 0
+    assert '2 boxes converted (1 with a known bow), 0 left out' in capsys.readouterr().out
+    (labels,) = read_labels(tmp_path / 'out.csv')
+    np.testing.assert_allclose(labels.reference, [[7, 7, 64, 64], [10, 10, 50, 20]])
+
+
+def test_the_bow_is_that_of_the_labels(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    ship = '<HRSC_Object>{}<header_x>{}</header_x><header_y>{}</header_y></HRSC_Object>'
+    box = ''.join(
+        f'<mbox_{name}>{value}</mbox_{name}>'
+        for name, value in {'cx': 99, 'cy': 99, 'w': 60, 'h': 20, 'ang': np.pi / 4}.items()
+    )
+    ships = ship.format(box, 120, 120) + ship.format(box, 78, 78) + ship.format(box, 0, 0)
+    path = tmp_path / 'a.xml'
+    path.write_text(f'<HRSC_Image><HRSC_Objects>{ships}</HRSC_Objects></HRSC_Image>')
+    ends = ('--q', 2, '--q-bow', 1, '--q-stern', 'inf')
+    assert _run(path, tmp_path / 'out.csv', '--bow', 'labels', *ends) == 0
+    assert '(2 with a known bow)' in capsys.readouterr().out
+    (labels,) = read_labels(tmp_path / 'out.csv')
+    bow, stern, neither = 30 * 0.5**0.5, 40 * 0.5**0.5, 500**0.5
+    expected = [[-stern] * 2 + [bow] * 2, [-bow] * 2 + [stern] * 2, [-neither] * 2 + [neither] * 2]
+    np.testing.assert_allclose(labels.reference, 99 + np.array(expected))
+
+
+def test_ends_without_a_bow_have_no_effect_and_say_so(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert _run(source, tmp_path / 'one.csv') == 0
+    assert _run(source, tmp_path / 'other.csv', '--q-bow', 1, '--q-stern', 4) == 0
+    assert 'no effect without --bow' in capsys.readouterr().err
+    assert (tmp_path / 'one.csv').read_text() == (tmp_path / 'other.csv').read_text()
+
+
 def test_a_conversion_that_fails_leaves_garbage_collection_on(tmp_path: Path) -> None:
     assert _run(tmp_path / 'nowhere.csv', tmp_path / 'out.csv') == 1
     assert gc.isenabled()

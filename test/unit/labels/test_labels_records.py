@@ -11,6 +11,7 @@ import pytest
 
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
+from obbhbb_ros.labels.records import Box
 from obbhbb_ros.labels.records import assemble
 
 FIELDS = {
@@ -41,11 +42,25 @@ def test_fields_that_agree_make_a_record() -> None:
         ('ids', ('',)),
         ('hulls', ()),
         ('class_ids', ('ship',)),
+        ('bow', np.zeros(3, bool)),
     ],
 )
 def test_fields_that_disagree_are_refused(field: str, value: object) -> None:
     with pytest.raises(ValueError, match='class_ids'):
         ImageLabels(**{**FIELDS, field: value})
+
+
+def test_the_bow_is_where_the_labels_say_or_at_every_first_edge_or_not_known() -> None:
+    upright = (0, 0, 4, 0, 4, 9, 0, 9)
+    boxes = [Box(upright, 'ship', bow=True), Box(upright, 'ship'), Box((*upright[2:], 0, 0), '')]
+    labels = assemble('P0706', boxes, None, Path('P0706.txt'))
+    assert labels.boxes().bow is None
+    assert labels.boxes('labels').bow.tolist() == [True, False, False]
+    # The first edge of the third box is a long side.
+    assert labels.boxes('first-edge').bow.tolist() == [True, True, False]
+    assert assemble('P0706', boxes[1:], None, Path('P0706.txt')).boxes('labels').bow is None
+    with pytest.raises(ValueError, match=r'bow must be one of none, labels, first-edge'):
+        labels.boxes('theta')
 
 
 def test_an_image_without_boxes_keeps_the_shapes() -> None:

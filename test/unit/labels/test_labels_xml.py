@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from obbhbb_ros import convert
 from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
@@ -91,6 +92,52 @@ def test_an_hrsc_file_as_the_data_set_has_it(put: Put) -> None:
     np.testing.assert_allclose(boxes.center.ravel(), [719.9324, 413.0048])
     np.testing.assert_allclose([boxes.length[0], boxes.width[0]], [741.8246, 172.6959])
     np.testing.assert_allclose(boxes.theta, [1.499893])
+
+
+@pytest.mark.parametrize(
+    ('size', 'angle'), [('60 20', 0.3), ('60 20', 2.0), ('20 60', 0.3), ('20 60', -1.2)]
+)
+@pytest.mark.parametrize('end', [1, -1])
+def test_the_head_point_of_an_hrsc_ship_is_its_bow(
+    put: Put, size: str, angle: float, end: int
+) -> None:
+    along = angle + (0 if size == '60 20' else math.pi / 2)
+    ahead = end * np.array([math.cos(along), math.sin(along)])
+    # Not quite at the end, and not quite on the axis.
+    x, y = [200, 300] + 27 * ahead + 3 * ahead[::-1]
+    (labels,) = read_labels(put('x.xml', HRSC.format(_hrsc_ship(size, angle, f'{x} {y}'))))
+    assert labels.bow is not None
+    boxes = labels.boxes('labels')
+    assert boxes.bow is not None
+    assert boxes.bow.tolist() == [True]
+    np.testing.assert_allclose(boxes.first[:, 0], 30 * ahead)
+    (plain,) = read_labels(put('y.xml', HRSC.format(_hrsc_ship(size, angle, '0 0'))))
+    np.testing.assert_array_equal(convert(labels.boxes(), f=0.9), convert(plain.boxes(), f=0.9))
+
+
+@pytest.mark.parametrize('head', ['0 0', '200 300', '250 300', '230 320', 'left 300', ' ', 'inf 1'])
+def test_a_head_point_that_is_at_no_end_says_nothing(put: Put, head: str) -> None:
+    (labels,) = read_labels(put('x.xml', HRSC.format(_hrsc_ship('60 20', 0.0, head + ' '))))
+    assert len(labels.class_ids) == 1
+    assert labels.bow is None
+
+
+def test_a_head_point_of_0_0_is_none_even_beside_a_ship(put: Put) -> None:
+    ship = _hrsc_ship('60 20', 0.0, '0 0').replace('>200<', '>31<').replace('>300<', '>0<')
+    (labels,) = read_labels(put('x.xml', HRSC.format(ship)))
+    assert labels.bow is None
+
+
+def _hrsc_ship(size: str, angle: float, head: str) -> str:
+    """Write a ship at 200, 300."""
+    width, height = size.split()
+    x, y = head.split(' ', 1)
+    values = {
+        'mbox_cx': 200, 'mbox_cy': 300, 'mbox_w': width, 'mbox_h': height, 'mbox_ang': angle,
+        'header_x': x, 'header_y': y,
+    }
+    tags = ''.join(f'<{tag}>{value}</{tag}>' for tag, value in values.items())
+    return f'<HRSC_Object>{tags}</HRSC_Object>'
 
 
 def test_an_hrsc_image_without_ships_has_no_boxes(put: Put) -> None:
