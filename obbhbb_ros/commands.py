@@ -227,7 +227,10 @@ def _calibrate(options: _Options) -> int:
     if options.synthetic == bool(options.labels):
         raise ValueError('give either label files or --synthetic')
     if options.synthetic:
+        if options.bow not in ('none', 'hull'):
+            raise ValueError(f'synthetic ships have no labels: --bow hull, not {options.bow}')
         ships = synthetic_ships(seed=options.seed)
+        ships = ships.heading_by_hull() if options.bow == 'hull' else ships
     else:
         ships = evaluation.ships_for(_read_ships(options), 'hbb')
     by_image = options.exchangeable == 'images'

@@ -163,7 +163,9 @@ def calibrate(ships: Ships, plan: Plan = DEFAULT_PLAN) -> HullRule:
         return _covering_rule(ships, plan)
     point = _fitted(Bench(ships, plan.method), plan, plan.fit == 'all')
     rule = HullRule(plan.method, *(round(each, _DIGITS) for each in (point.q, point.f, point.s)))
-    return fit_ends(ships.take(ships.with_bow), rule, plan) if plan.ends else rule
+    if plan.ends and ships.with_bow.any():
+        return fit_ends(ships.take(ships.with_bow), rule, plan)
+    return rule
 
 
 class Trials(NamedTuple):
@@ -189,7 +191,7 @@ def decide(ships: Ships, plan: Plan) -> tuple[Plan, Trials]:
     if fit == 'auto':
         fit = 'all' if over_q is None or over_q >= LEAST_GAIN else 'q'
     if plan.ends is None and plan.refine and has_ends(ships, plan):
-        ends = bow_gain(ships, plan)
+        ends = bow_gain(ships, replace(plan, fit=fit))
     chosen = ends is not None and ends >= LEAST_GAIN if plan.ends is None else plan.ends
     return replace(plan, fit=fit, ends=chosen), Trials(over_q, ends)
 
@@ -287,11 +289,13 @@ def bow_gain(ships: Ships, plan: Plan) -> float:
     """
     Measure what q_bow and q_stern gain over q on held-out images, on ships whose bow is known.
 
+    f and s are the same for both, as `plan.fit` has it.
+
     Raises ValueError if there are fewer than two images of such ships.
     """
     known = ships.take(ships.with_bow)
     folds = min(_FOLDS, known.image_count)
-    single = replace(plan, fit='q', ends=False)
+    single = replace(plan, ends=False)
     fold, gain = folds_of(known, folds, plan.seed), np.zeros(len(known))
     for index in range(folds):
         mine = fold == index
@@ -375,10 +379,9 @@ def covered_shares(
             for _ in range(2)
         )
         count = int(first.sum())
-        rank = _misses(count, plan.share, plan.per_image)
         # The largest s there is, if the draw has too few ships.
-        place = int(np.searchsorted(np.cumsum(first), count - max(rank, 0)))
-        kept = needed <= needed[min(place, len(needed) - 1)]
+        rank = count - max(_misses(count, plan.share, plan.per_image), 0)
+        kept = needed <= needed[np.searchsorted(np.cumsum(first), rank)]
         found.append(float(second[kept].sum() / second.sum()))
     low, high = np.quantile(found, (0.025, 0.975)).tolist()
     return low, high

@@ -214,7 +214,7 @@ def run(
         gain = _gain(outcome, BY_CLASS, rows, f'class {name}')
         outcome.gains.append(gain)
         if gain.earned:
-            outcome.rule_of_class[name] = calibrate(ships.take(rows), _for_group(plan))
+            outcome.rule_of_class[name] = calibrate(ships.take(rows), _for_class(plan))
     return outcome
 
 
@@ -226,7 +226,8 @@ def _measure(
     fixed = {'outer': HullRule('outer'), 'paper': PAPER_RULE, 'default': HullRule()}
     boxes = {name: convert_by_rule(ships.boxes, rule) for name, rule in fixed.items()}
     for name, grouping in groupings.items():
-        boxes[name] = held_out_boxes(ships, plan, folds, seed, grouping)
+        group_plan = _for_class(plan) if name == BY_CLASS else plan
+        boxes[name] = held_out_boxes(ships, plan, folds, seed, grouping, group_plan)
     settings = evaluation.Settings(keep=plan.keep, bootstrap=0)
     for name, xyxy in boxes.items():
         outcome.held_out[name] = evaluation.figures(ships, xyxy, 'hbb', settings)
@@ -234,12 +235,18 @@ def _measure(
 
 
 def held_out_boxes(
-    ships: Ships, plan: Plan, folds: int = 5, seed: int = 0, grouping: Grouping = no_groups
+    ships: Ships,
+    plan: Plan,
+    folds: int = 5,
+    seed: int = 0,
+    grouping: Grouping = no_groups,
+    group_plan: Plan | None = None,
 ) -> FloatArray:
     """
     Convert each of N ships by rules that were calibrated on other images; boxes, (N, 4), pixels.
 
-    A group that `grouping` makes gets a rule of its own if it is large enough.
+    A group that `grouping` makes gets a rule of its own, by `group_plan` if given, if it is large
+    enough.
     """
     fold = folds_of(ships, folds, seed)
     xyxy = np.empty((len(ships), 4))
@@ -249,7 +256,7 @@ def held_out_boxes(
         of_known, of_new = grouping(known, known), grouping(known, new)
         for group in np.unique(of_new[of_new >= 0]):
             mine = of_new == group
-            if rule := _own_rule(known, of_known == group, plan):
+            if rule := _own_rule(known, of_known == group, group_plan or plan):
                 boxes[mine] = convert_by_rule(new.boxes.take(mine), rule)
         xyxy[fold == index] = boxes
     return xyxy
@@ -258,11 +265,11 @@ def held_out_boxes(
 def _own_rule(ships: Ships, rows: NDArray[np.bool_], plan: Plan) -> HullRule | None:
     """Calibrate on some of the ships, if they are enough."""
     group = ships.take(rows) if rows.any() else None
-    return calibrate(group, _for_group(plan)) if group and enough(group, plan) else None
+    return calibrate(group, plan) if group and enough(group, plan) else None
 
 
-def _for_group(plan: Plan) -> Plan:
-    """Return a plan without q_bow and q_stern: the node has them for all classes alike."""
+def _for_class(plan: Plan) -> Plan:
+    """Return a plan without q_bow and q_stern, which the node does not have for a class."""
     return replace(plan, ends=False)
 
 

@@ -170,7 +170,7 @@ class Score:
         A key of `PROTOCOLS`.
     stratum : str
         Which ships, a key of `strata`.
-    method, q, f, s
+    method, q, f, s, q_bow, q_stern
         The rule.
     ships, images : int
         Number of ships and of their images.
@@ -202,6 +202,8 @@ class Score:
     q: float
     f: float
     s: float
+    q_bow: float | None
+    q_stern: float | None
     ships: int
     images: int
     iou: float = field(metadata=_figure('mean IoU', lambda each: each.overlap.iou))
@@ -353,6 +355,7 @@ def evaluate(
                 means = {key: mean(value[rows]) for key, value in found[name].items()}
                 scores.append(Score(
                     protocol=protocol, stratum=stratum, method=name, q=rule.q, f=rule.f, s=rule.s,
+                    q_bow=rule.q_bow, q_stern=rule.q_stern,
                     ships=len(images), images=len(np.unique(images)),
                     iou_low=low, iou_high=high, **means,
                 ))

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -78,10 +79,7 @@ class Ships:
             raise ValueError('no ships in the labels')
         if bow not in BOWS:
             raise ValueError(f'bow must be one of {", ".join(BOWS)}, not {bow!r}')
-        hulls = tuple(hull for each in labels for hull in each.hulls)
         boxes = _boxes(labels, bow)
-        if bow == 'hull':
-            boxes = with_bows(boxes, bow_sides(boxes, hulls))
         ships = cls(
             boxes=boxes,
             reference=np.concatenate([each.reference for each in labels]),
@@ -91,10 +89,12 @@ class Ships:
                 f'{each.image} {name or row}'
                 for each in labels for row, name in enumerate(each.ids)
             ),
-            hulls=hulls,
+            hulls=tuple(hull for each in labels for hull in each.hulls),
             skipped=int(np.sum(~boxes.valid)),
         )
-        return ships if not ships.skipped else ships.take(boxes.valid)
+        if ships.skipped:
+            ships = ships.take(boxes.valid)
+        return ships.heading_by_hull() if bow == 'hull' else ships
 
     def __len__(self) -> int:
         """Count the ships."""
@@ -135,6 +135,10 @@ class Ships:
         """Whether each ship has a reference box with an area, shape (N,)."""
         with np.errstate(invalid='ignore'):
             return np.asarray((self.reference[:, 2:] > self.reference[:, :2]).all(axis=1))
+
+    def heading_by_hull(self) -> Ships:
+        """Return the ships with their bows from their hulls, see `bow_sides`."""
+        return replace(self, boxes=with_bows(self.boxes, bow_sides(self.boxes, self.hulls)))
 
     @property
     def with_bow(self) -> NDArray[np.bool_]:

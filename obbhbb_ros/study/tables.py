@@ -94,8 +94,11 @@ def _score_table(scores: Sequence[evaluation.Score], settings: evaluation.Settin
 
 def _tuned(score: evaluation.Score) -> str:
     """Format the parameters of a method that has any."""
-    tuned = score.method in TUNABLE_METHODS
-    return f'{score.q:.4g} / {score.f:.4g} / {score.s:.4g}' if tuned else ''
+    if score.method not in TUNABLE_METHODS:
+        return ''
+    ends = {'bow': score.q_bow, 'stern': score.q_stern}
+    given = [f', {name} {q:.4g}' for name, q in ends.items() if q is not None]
+    return f'{score.q:.4g} / {score.f:.4g} / {score.s:.4g}{"".join(given)}'
 
 
 def _offset_table(found: Sequence[evaluation.Offset]) -> str:

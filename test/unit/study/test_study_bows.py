@@ -133,7 +133,7 @@ def test_ends_are_refused_for_a_rule_without() -> None:
 
 def test_ends_fitted_on_one_half_of_the_images_gain_on_the_other() -> None:
     ships = synthetic_ships([FAMILIES['bow_stern'], FAMILIES['tapered']], aspects=2, angles=40)
-    ships = replace(ships, boxes=with_bows(ships.boxes, bow_sides(ships.boxes, ships.hulls)))
+    ships = ships.heading_by_hull()
     # Tapered hulls are alike at both ends.
     assert 0.4 < ships.with_bow.mean() < 0.6
     known, new = split(ships.take(ships.with_bow))
@@ -177,6 +177,19 @@ def test_calibrate_writes_the_ends_that_it_fits_and_only_those(tmp_path, capsys)
     assert 'ships is known' in capsys.readouterr().err
 
 
+def test_groups_keep_the_ends_except_classes() -> None:
+    ships = heading(300, noise=0.3)
+    ships = replace(ships, class_ids=np.array(['tug', 'ship'] * 150))
+    outcome = run(ships, Plan(), folds=2, per_class=True, by_aspect=True)
+    assert all(rule.q_bow is not None for _, _, rule in outcome.rule_of_aspect)
+    assert outcome.rule_of_class == {}
+
+
+def test_bows_of_synthetic_ships_come_from_their_hulls_only(capsys) -> None:
+    assert main(['calibrate', '--synthetic', '--bow', 'labels']) == 1
+    assert 'synthetic ships have no labels' in capsys.readouterr().err
+
+
 def test_evaluate_scores_the_ends_it_is_given(tmp_path, capsys) -> None:
     # From the first edge: a ship that heads to +x, and its reference.
     corners = [[40.0, 0], [40, 20], [0, 20], [0, 0]]
@@ -191,7 +204,7 @@ def test_evaluate_scores_the_ends_it_is_given(tmp_path, capsys) -> None:
     ]
     assert main([*command, '--bow', 'first-edge']) == 0
     printed = capsys.readouterr()
-    assert 'superellipse  3 / 1 / 1    1.0000' in printed.out
+    assert 'superellipse  3 / 1 / 1, bow 2, stern 6    1.0000' in printed.out
     assert 'the bow of 1 of 1 ships is known' in printed.err
     assert main(command) == 0
     assert '--q-bow and --q-stern have no effect without --bow' in capsys.readouterr().err

@@ -388,6 +388,29 @@ def test_for_coverage_f_is_decided_on_the_half_that_does_not_give_s() -> None:
     assert plan.fit == ('all' if trials.over_q >= LEAST_GAIN else 'q')
 
 
+def upright(scales):
+    """Upright ships, one an image, whose references are so much larger than their boxes."""
+    reference = np.outer(scales, [-20.0, -5.0, 20.0, 5.0])
+    return fleet([[0, 0, 40, 10, 0]] * len(scales), reference, images=range(len(scales)))
+
+
+def test_where_all_ships_need_the_same_s_all_keep_enough() -> None:
+    plan = Plan(objective='coverage', keep=0.9, share=0.8)
+    assert covered_shares(upright([1.1] * 40), HullRule(), plan, samples=50) == (1.0, 1.0)
+
+
+def test_where_half_of_the_ships_need_more_the_share_scatters_as_draws_of_a_coin() -> None:
+    # For a quarter of the ships, s is that of the half that needs less; the others all miss.
+    ships = upright([1.0, 1.2] * 200)
+    plan = Plan(objective='coverage', keep=1.0, share=0.25)
+    low, high = covered_shares(ships, HullRule(), plan)
+    # 200 images give s; those that need less are drawn 200 times.
+    half = split(ships)[1]
+    part = float(np.mean(half.reference[:, 2] == 20.0))
+    spread = 1.96 * np.sqrt(part * (1.0 - part) / 200)
+    assert (low, high) == pytest.approx((part - spread, part + spread), abs=0.015)
+
+
 def test_coverage_scatters_more_where_ships_of_an_image_are_alike() -> None:
     plan = Plan(objective='coverage', grid=SMALL, refine=False, keep=0.9, share=0.8)
     widths = []
