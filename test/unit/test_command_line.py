@@ -169,7 +169,9 @@ def test_ctrl_c_ends_a_command_in_silence(ships: Path, arguments: list[str]) -> 
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
     _, printed = process.communicate(timeout=60)
-    assert process.returncode == 130
+    # To a shell both are 130. Python ends itself by the signal, whatever the code, if it came while
+    # an extension was imported.
+    assert process.returncode in (130, -signal.SIGINT)
     assert 'Traceback' not in printed
     assert 'KeyboardInterrupt' not in printed
     assert not list(ships.parent.glob('out*'))

@@ -15,12 +15,19 @@ from obbhbb_ros.downlink.crops import plan_crops
 
 IMAGE = (640, 480)
 COORDINATE = st.one_of(st.floats(-50.0, 700.0), st.floats(allow_nan=False, allow_infinity=False))
+SIDE = st.floats(1.0, 60.0)
+SHIP = st.tuples(st.floats(0.0, 150.0), st.floats(0.0, 150.0), SIDE, SIDE).map(
+    lambda ship: (ship[0], ship[1], ship[0] + ship[2], ship[1] + ship[3])
+)
 
 
 @st.composite
 def frames(draw):
-    """Draw boxes (some far out, some NaN) with scores."""
-    corners = draw(st.lists(st.tuples(COORDINATE, COORDINATE, COORDINATE, COORDINATE), max_size=12))
+    """Draw boxes (ships, some far out, some NaN) with scores."""
+    anything = st.tuples(COORDINATE, COORDINATE, COORDINATE, COORDINATE)
+    corners = draw(st.one_of(
+        st.lists(SHIP, max_size=12), st.lists(st.one_of(SHIP, anything), max_size=12)
+    ))
     array = np.array(corners, dtype=float).reshape(-1, 4)
     low, high = np.minimum(array[:, :2], array[:, 2:]), np.maximum(array[:, :2], array[:, 2:])
     xyxy = np.hstack((low, high))
@@ -133,9 +140,12 @@ def test_merged_regions_cover_their_parts_and_cost_less(frame, limits) -> None:
             assert any((part == region).all() for part in inside)
 
 
-@given(frames(), settings())
-def test_no_two_regions_are_left_that_would_save_pixels_as_one(frame, limits) -> None:
+@given(frames(), settings(), st.booleans())
+def test_no_two_regions_are_left_that_would_save_pixels_as_one(frame, limits, small) -> None:
     limits = replace(limits, **dict.fromkeys(LIMITS, 0), multiple_of=0, max_size=0)
+    if small:
+        # So that several are left.
+        limits = replace(limits, min_size=0, padding=0.0, padding_px=0.0)
     regions = plan_crops(*frame, IMAGE, limits).regions
     for i, j in combinations(range(len(regions)), 2):
         low = np.minimum(regions[i, :2], regions[j, :2])
