@@ -40,7 +40,7 @@ _BANDS = 3
 # Small ships, as COCO has them: L * W below 32 x 32 px.
 SMALL = 32.0**2
 # Candidates for a margin, pixels.
-_MARGINS = np.round(np.arange(-4.0, 4.01, 0.05), 2)
+_MARGINS = np.arange(-80, 81) * 0.05
 
 # Takes the ships to calibrate on and the ships to sort; returns the group of each of the latter,
 # negative for those in no group.
