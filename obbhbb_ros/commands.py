@@ -38,6 +38,7 @@ from obbhbb_ros.study.metrics import PROTOCOLS
 from obbhbb_ros.study.parameter_file import yaml_text
 from obbhbb_ros.study.progress import note
 from obbhbb_ros.study.progress import track
+from obbhbb_ros.study.ships import BOWS
 from obbhbb_ros.study.ships import Ships
 from obbhbb_ros.study.ships import read_ships
 
@@ -98,9 +99,7 @@ def _convert_options(add: _Add) -> None:
         help=f'format of OUT: {", ".join(written)}; default: by the suffix of OUT')
     add('--method', default=rule.method, help=f'{", ".join(METHODS)}; default: %(default)s')
     _add_numbers(add, rule, PARAMETERS)
-    for end in ('bow', 'stern'):
-        add(f'--q-{end}', type=float,
-            help=f'shape exponent of the {end} where the bow is known, 1 to inf; default: q')
+    _add_ends(add)
     add('--bow', choices=BOW_SOURCES, default='none',
         help='where the bow is known: labels: as the labels say (head points of hrsc); first-edge: '
         'the first two corners of every box are its bow end; default: %(default)s')
@@ -118,8 +117,7 @@ def _convert(options: _Options) -> int:
     """Convert label files of oriented boxes to label files of axis-aligned boxes."""
     # Conversion makes many objects, and garbage collection would take a fifth of its time.
     ends = {'q_bow': options.q_bow, 'q_stern': options.q_stern}
-    if options.bow == 'none' and any(q is not None for q in ends.values()):
-        note('obbhbb: --q-bow and --q-stern have no effect without --bow')
+    _warn_of_ends(options)
     gc.disable()
     try:
         tally = convert_file(
@@ -153,6 +151,7 @@ def _evaluate_options(add: _Add) -> None:
     for name, meaning in PARAMETERS.items():
         add(f'--{name}', type=float,
             help=f'{meaning}, of the tunable methods; default: that of each method')
+    _add_ends(add)
     _add_numbers(add, evaluation.DEFAULT_SETTINGS, {
         'threshold': 'lowest IoU of a match',
         'keep': 'share of the reference box that a box must contain to count as kept',
@@ -169,16 +168,20 @@ def _evaluate(options: _Options) -> int:
     settings = evaluation.Settings(
         options.threshold, options.keep, options.bootstrap, options.seed
     )
-    chosen = rules.choose_rules(options.methods, options.q, options.f, options.s)
+    _warn_of_ends(options)
+    chosen = rules.choose_rules(
+        options.methods, options.q, options.f, options.s, options.q_bow, options.q_stern
+    )
     ships = _read_ships(options)
     protocols = tuple(PROTOCOLS) if options.protocol == 'both' else (options.protocol,)
     if options.protocol == 'both' and not ships.with_reference.any():
         print('no reference boxes: protocol obb only\n', file=sys.stderr)
         protocols = ('obb',)
     scores = evaluation.evaluate(ships, chosen, protocols, settings)
-    print(tables.score_tables(scores, settings))
+    found = evaluation.offsets(ships, chosen, settings) if 'hbb' in protocols else []
+    print(tables.score_tables(scores, settings, found))
     if options.json:
-        evaluation.write_json(options.json, scores, settings)
+        evaluation.write_json(options.json, scores, settings, found)
     if options.csv:
         evaluation.write_csv(options.csv, scores)
     if options.plot:
@@ -201,6 +204,9 @@ def _calibrate_options(add: _Add) -> None:
         help='settings to search; default: %(default)s')
     add('--refine', action=argparse.BooleanOptionalAction, default=plan.refine,
         help='refine the best setting of the grid (default); --no-refine is Algorithm 2')
+    add('--fit', choices=calibration.FITS, default=plan.fit,
+        help='whether to fit f and s beside q: auto: if they gain '
+        f'{calibration.LEAST_GAIN:g} or more on held-out images; default: %(default)s')
     _add_numbers(add, plan, {
         'keep': 'objective coverage: share of the reference box that a box must contain',
         'share': 'objective coverage: share of ships whose box must contain that much',
@@ -221,7 +227,10 @@ def _calibrate(options: _Options) -> int:
     if options.synthetic == bool(options.labels):
         raise ValueError('give either label files or --synthetic')
     if options.synthetic:
+        if options.bow not in ('none', 'hull'):
+            raise ValueError(f'synthetic ships have no labels: --bow hull, not {options.bow}')
         ships = synthetic_ships(seed=options.seed)
+        ships = ships.heading_by_hull() if options.bow == 'hull' else ships
     else:
         ships = evaluation.ships_for(_read_ships(options), 'hbb')
     by_image = options.exchangeable == 'images'
@@ -230,6 +239,7 @@ def _calibrate(options: _Options) -> int:
         objective=options.objective,
         grid=GRIDS[options.grid],
         refine=options.refine,
+        fit=options.fit,
         keep=options.keep,
         share=options.share,
         per_image=int(np.bincount(ships.image_of).max()) if by_image else 1,
@@ -322,6 +332,23 @@ def _add_labels(add: _Add, count: str) -> None:
         help='labels with the reference boxes, matched by image and overlap')
     add('--image-size', type=int, nargs=2, metavar=('W', 'H'),
         help='size of every image, pixels, for normalised formats without images')
+    add('--bow', choices=BOWS, default='none',
+        help='where the bow is known: labels: as the labels say (head points of hrsc); first-edge: '
+        'the first two corners of every box are its bow end; hull: the end of the hull with less '
+        'area; default: %(default)s')
+
+
+def _add_ends(add: _Add) -> None:
+    """Add the options for hulls whose bow is known."""
+    for end in ('bow', 'stern'):
+        add(f'--q-{end}', type=float,
+            help=f'shape exponent of the {end} where the bow is known, 1 to inf; default: q')
+
+
+def _warn_of_ends(options: _Options) -> None:
+    """Say it if q_bow or q_stern is given, but no bow is known."""
+    if options.bow == 'none' and not options.q_bow is options.q_stern is None:
+        note('obbhbb: --q-bow and --q-stern have no effect without --bow')
 
 
 def _add_numbers(add: _Add, defaults: object, meanings: Mapping[str, str]) -> None:
@@ -342,11 +369,13 @@ def _read_ships(options: _Options) -> Ships:
     size = tuple(options.image_size) if options.image_size else None
     ships = read_ships(
         options.labels, options.format,
-        reference=options.reference, image_size=size, on_error=report,
+        reference=options.reference, image_size=size, bow=options.bow, on_error=report,
     )
     if options.reference:
         found = int(ships.with_reference.sum())
         note(f'obbhbb: {found} of {len(ships)} ships have a box in {options.reference}')
+    if options.bow != 'none':
+        note(f'obbhbb: the bow of {int(ships.with_bow.sum())} of {len(ships)} ships is known')
     if errors or ships.skipped:
         note(
             f'obbhbb: {len(errors)} malformed records and {ships.skipped} boxes without area left '

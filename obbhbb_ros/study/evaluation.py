@@ -6,13 +6,17 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Callable
 from collections.abc import Iterable
+from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import asdict
 from dataclasses import dataclass
+from dataclasses import field
 from dataclasses import fields
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from typing import NamedTuple
 
@@ -34,61 +38,22 @@ ASPECT_BANDS = {
     'L/W 1-3': (1.0, 3.0), 'L/W 3-5': (3.0, 5.0), 'L/W 5-7': (5.0, 7.0), 'L/W >= 7': (7.0, np.inf)
 }
 TILTED = 10.0
+# A hull counts as kept from this share of its area on.
+HULL_KEPT = 0.99
+# IoU .50:.05:.95, as average precision has it.
+_THRESHOLDS = np.arange(50, 100, 5) / 100.0
 _TAIL = (1.0 - 0.95) / 2.0
 # Number of draws at once, to limit the memory for many images.
 _BATCH = 50
+# An offset is significant if its interval, rounded to these decimals of a pixel, excludes zero.
+_OFFSET_DIGITS = 2
 
 
-@dataclass(frozen=True)
-class Score:
-    """
-    Figures of one method on some ships under one protocol.
+class Interval(NamedTuple):
+    """A 95 % confidence interval."""
 
-    All but `ships` and `images` are means over the ships; each ship counts the same.
-
-    Attributes
-    ----------
-    protocol : str
-        A key of `PROTOCOLS`.
-    stratum : str
-        Which ships, a key of `strata`.
-    method, q, f, s
-        The rule.
-    ships, images : int
-        Number of ships and of their images.
-    iou, iou_low, iou_high : float
-        Mean IoU and its 95 % bootstrap interval; NaN without bootstrap.
-    match : float
-        Share of ships with an IoU of at least the threshold (Match50 at 0.5).
-    overshoot, undershoot, average_error, area_error : float
-        See `obbhbb_ros.study.metrics.Overlap`; the last is Eq. relerr.
-    coverage : float
-        Mean share of the reference inside the box.
-    kept : float
-        Share of ships with at least the required coverage.
-    area : float
-        Mean area relative to the outer box of the same ship.
-    """
-
-    protocol: str
-    stratum: str
-    method: str
-    q: float
-    f: float
-    s: float
-    ships: int
-    images: int
-    iou: float
-    iou_low: float
-    iou_high: float
-    match: float
-    overshoot: float
-    undershoot: float
-    average_error: float
-    area_error: float
-    coverage: float
-    kept: float
-    area: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -128,11 +93,186 @@ class Settings:
 DEFAULT_SETTINGS = Settings()
 
 
-class Interval(NamedTuple):
-    """A 95 % confidence interval."""
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """N ships, their boxes, (N, 4), and how both overlap: what a figure is computed from."""
 
-    low: float
-    high: float
+    ships: Ships
+    xyxy: FloatArray
+    overlap: metrics.Overlap
+    settings: Settings
+
+
+@dataclass(frozen=True)
+class Figure:
+    """
+    A scored figure.
+
+    Attributes
+    ----------
+    title : str
+        Heading in tables, with `{threshold}` and `{keep}` of the settings in it.
+    values : callable
+        Computes it for each ship, (N,); NaN where it is unknown.
+    form : str
+        Format of its mean.
+    """
+
+    title: str
+    values: Callable[[Scored], FloatArray]
+    form: str = '.4f'
+
+    def heading(self, settings: Settings) -> str:
+        """Return the title under some settings."""
+        return self.title.format(threshold=settings.threshold * 100.0, keep=settings.keep)
+
+
+def _figure(
+    title: str, values: Callable[[Scored], FloatArray], form: str = '.4f'
+) -> dict[str, Figure]:
+    """Describe a field of `Score` that is the mean of a figure."""
+    return {'figure': Figure(title, values, form)}
+
+
+def _matches(threshold: float) -> Callable[[Scored], FloatArray]:
+    """Count the ships with an IoU of at least a threshold."""
+    return lambda each: each.overlap.match(threshold).astype(float)
+
+
+def _average_match(each: Scored) -> FloatArray:
+    """Average the matches over IoU .50:.05:.95."""
+    return np.asarray(np.mean([each.overlap.match(low) for low in _THRESHOLDS], axis=0))
+
+
+def _hull_kept(each: Scored) -> FloatArray:
+    """Find the ships that keep their hull; NaN where no hull is known."""
+    share = metrics.hull_share(each.xyxy, each.ships.outlines)
+    # Allow for rounding in the areas.
+    return np.where(np.isnan(share), np.nan, share >= HULL_KEPT - 1e-9)
+
+
+def _area(each: Scored) -> FloatArray:
+    """Compare the areas with those of the outer boxes."""
+    outer = metrics.area(convert_by_rule(each.ships.boxes, HullRule('outer')))
+    return each.overlap.predicted / outer
+
+
+@dataclass(frozen=True)
+class Score:
+    """
+    Figures of one method on some ships under one protocol.
+
+    From `iou` on they are means over the ships; each ship counts the same.
+
+    Attributes
+    ----------
+    protocol : str
+        A key of `PROTOCOLS`.
+    stratum : str
+        Which ships, a key of `strata`.
+    method, q, f, s, q_bow, q_stern
+        The rule.
+    ships, images : int
+        Number of ships and of their images.
+    iou, iou_low, iou_high : float
+        Mean IoU and its 95 % bootstrap interval; NaN without bootstrap.
+    match : float
+        Share of ships with an IoU of at least the threshold (Match50 at 0.5): the recall of a
+        detector that finds every ship.
+    overshoot, undershoot, average_error, area_error : float
+        See `obbhbb_ros.study.metrics.Overlap`; the last is Eq. relerr.
+    coverage : float
+        Mean share of the reference inside the box.
+    kept : float
+        Share of ships with at least the required coverage.
+    area : float
+        Mean area relative to the outer box of the same ship.
+    match75, match90 : float
+        Share of ships with an IoU of at least 0.75 and 0.9.
+    match_average : float
+        Mean share of ships with an IoU of at least 0.50, 0.55, … 0.95.
+    hull_kept : float
+        Share of ships with at least 99 % of the area of their hull inside the box, among those
+        whose hull is known; NaN without any.
+    """
+
+    protocol: str
+    stratum: str
+    method: str
+    q: float
+    f: float
+    s: float
+    q_bow: float | None
+    q_stern: float | None
+    ships: int
+    images: int
+    iou: float = field(metadata=_figure('mean IoU', lambda each: each.overlap.iou))
+    iou_low: float
+    iou_high: float
+    match: float = field(metadata=_figure(
+        'match{threshold:g}',
+        lambda each: each.overlap.match(each.settings.threshold).astype(float),
+    ))
+    overshoot: float = field(metadata=_figure('overshoot', lambda each: each.overlap.overshoot))
+    undershoot: float = field(metadata=_figure('undershoot', lambda each: each.overlap.undershoot))
+    average_error: float = field(
+        metadata=_figure('avg. error', lambda each: each.overlap.average_error)
+    )
+    area_error: float = field(
+        metadata=_figure('area error', lambda each: each.overlap.relative_error)
+    )
+    coverage: float = field(metadata=_figure('coverage', lambda each: each.overlap.coverage))
+    kept: float = field(metadata=_figure(
+        'keep {keep:.0%}',
+        lambda each: (each.overlap.coverage >= each.settings.keep).astype(float), '.1%',
+    ))
+    area: float = field(metadata=_figure('area/outer', _area))
+    match75: float = field(metadata=_figure('match75', _matches(0.75)))
+    match90: float = field(metadata=_figure('match90', _matches(0.9)))
+    match_average: float = field(metadata=_figure('match50:95', _average_match))
+    hull_kept: float = field(metadata=_figure(f'hull {HULL_KEPT:.0%}', _hull_kept, '.1%'))
+
+
+FIGURES: MappingProxyType[str, Figure] = MappingProxyType({
+    each.name: each.metadata['figure'] for each in fields(Score) if each.metadata
+})
+
+
+@dataclass(frozen=True)
+class Offset:
+    """
+    Where the boxes of one method lie, measured from the reference boxes, over all ships.
+
+    Attributes
+    ----------
+    method : str
+        Name of the rule.
+    x, y : float
+        Median offset of the centre, pixels; positive to the right and down.
+    x_interval, y_interval : Interval
+        Their 95 % bootstrap intervals; NaN without bootstrap.
+    left, top, right, bottom : float
+        Median offset of each side, pixels; positive to the right and down.
+    """
+
+    method: str
+    x: float
+    y: float
+    x_interval: Interval
+    y_interval: Interval
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether one of the intervals of the centre excludes zero, rounded to 0.01 px."""
+        # Comparisons with NaN are false.
+        return any(
+            round(low, _OFFSET_DIGITS) > 0.0 or round(high, _OFFSET_DIGITS) < 0.0
+            for low, high in (self.x_interval, self.y_interval)
+        )
 
 
 def strata(ships: Ships) -> dict[str, NDArray[np.bool_]]:
@@ -212,9 +352,10 @@ def evaluate(
                 settings.bootstrap, settings.seed,
             )
             for (name, rule), (low, high) in zip(rules.items(), intervals, strict=True):
-                means = {key: float(value[rows].mean()) for key, value in found[name].items()}
+                means = {key: mean(value[rows]) for key, value in found[name].items()}
                 scores.append(Score(
                     protocol=protocol, stratum=stratum, method=name, q=rule.q, f=rule.f, s=rule.s,
+                    q_bow=rule.q_bow, q_stern=rule.q_stern,
                     ships=len(images), images=len(np.unique(images)),
                     iou_low=low, iou_high=high, **means,
                 ))
@@ -259,18 +400,49 @@ def figures(
     ships: Ships, xyxy: FloatArray, protocol: str, settings: Settings = DEFAULT_SETTINGS
 ) -> dict[str, FloatArray]:
     """Compute all figures of N ships and their boxes, (N, 4), named as their means in `Score`."""
-    found = overlap(ships, xyxy, protocol)
-    return {
-        'iou': found.iou,
-        'match': found.match(settings.threshold).astype(float),
-        'overshoot': found.overshoot,
-        'undershoot': found.undershoot,
-        'average_error': found.average_error,
-        'area_error': found.relative_error,
-        'coverage': found.coverage,
-        'kept': (found.coverage >= settings.keep).astype(float),
-        'area': found.predicted / metrics.area(convert_by_rule(ships.boxes, HullRule('outer'))),
-    }
+    scored = Scored(ships, xyxy, overlap(ships, xyxy, protocol), settings)
+    return {name: figure.values(scored) for name, figure in FIGURES.items()}
+
+
+def mean(values: FloatArray) -> float:
+    """Average a figure over the ships, (N,), where it is known; NaN if it is known nowhere."""
+    if np.isfinite(total := float(values.mean())):
+        return total
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else np.nan
+
+
+def offsets(
+    ships: Ships,
+    rules: Mapping[str, HullRule] = DEFAULT_RULES,
+    settings: Settings = DEFAULT_SETTINGS,
+) -> list[Offset]:
+    """
+    Measure where the boxes of each rule lie, from the reference boxes.
+
+    A constant offset between two annotators costs more IoU than the choice of the rule. Ships
+    without a reference box are left out; ValueError if there is no other.
+
+    Examples
+    --------
+    >>> from obbhbb_ros.study.hulls import synthetic_ships
+    >>> ships = synthetic_ships(aspects=2, angles=9, seed=None)
+    >>> [each.significant for each in offsets(ships, {'outer': HullRule('outer')})]
+    [False]
+    """
+    chosen = ships_for(ships, 'hbb')
+    found = []
+    for name, rule in rules.items():
+        # Without the rounding errors of each method, so that equal offsets are equal.
+        sides = np.round(convert_by_rule(chosen.boxes, rule) - chosen.reference, 6)
+        centers = np.round((sides[:, :2] + sides[:, 2:]) / 2.0, 5)
+        x, y = median_intervals(
+            list(centers.T), chosen.image_of, settings.bootstrap, settings.seed
+        )
+        dx, dy = np.median(centers, axis=0).tolist()
+        left, top, right, bottom = np.median(sides, axis=0).tolist()
+        found.append(Offset(name, dx, dy, x, y, left, top, right, bottom))
+    return found
 
 
 def bootstrap_intervals(
@@ -296,37 +468,72 @@ def bootstrap_intervals(
     _, index = np.unique(images, return_inverse=True)
     counts = np.bincount(index).astype(float)
     sums = np.stack([np.bincount(index, weights=each) for each in values], axis=1)
-    random = np.random.default_rng(seed)
-    means = []
-    for start in range(0, samples, _BATCH):
-        batch = min(_BATCH, samples - start)
-        drawn = random.integers(len(counts), size=(batch, len(counts)))
-        # How often each image was drawn: the means are then two products of matrices.
-        offset = np.arange(batch)[:, None] * len(counts)
-        times = np.bincount((drawn + offset).ravel(), minlength=drawn.size)
-        weights = times.reshape(drawn.shape).astype(float)
-        means.append(weights @ sums / (weights @ counts)[:, None])
+    # The means are two products of matrices.
+    means = [
+        times @ sums / (times @ counts)[:, None] for times in draws(len(counts), samples, seed)
+    ]
     ends = np.quantile(np.concatenate(means), (_TAIL, 1.0 - _TAIL), axis=0)
     return [Interval(low, high) for low, high in ends.T.tolist()]
 
 
-def write_json(path: Path, scores: Iterable[Score], settings: Settings) -> None:
+def median_intervals(
+    values: Sequence[FloatArray], images: NDArray[np.intp], samples: int = 1000, seed: int = 0
+) -> list[Interval]:
+    """Compute 95 % intervals of medians, drawing whole images; see `bootstrap_intervals`."""
+    if not samples:
+        return [Interval(np.nan, np.nan)] * len(values)
+    _, index = np.unique(images, return_inverse=True)
+    orders = [np.argsort(each, kind='stable') for each in values]
+    medians = []
+    for times in draws(int(index.max()) + 1, samples, seed):
+        batch = []
+        for each, order in zip(values, orders, strict=True):
+            reached = np.cumsum(times[:, index[order]], axis=1)
+            total = reached[:, -1:]
+            # The middle value, or the mean of the two in the middle.
+            lower = (2.0 * reached >= total).argmax(axis=1)
+            upper = (2.0 * reached > total).argmax(axis=1)
+            batch.append((each[order[lower]] + each[order[upper]]) / 2.0)
+        medians.append(np.stack(batch, axis=1))
+    ends = np.quantile(np.concatenate(medians), (_TAIL, 1.0 - _TAIL), axis=0)
+    return [Interval(low, high) for low, high in ends.T.tolist()]
+
+
+def draws(images: int, samples: int, seed: int) -> Iterator[FloatArray]:
+    """Draw images with replacement: in batches, how often each one was drawn, (batch, images)."""
+    random = np.random.default_rng(seed)
+    for start in range(0, samples, _BATCH):
+        batch = min(_BATCH, samples - start)
+        drawn = random.integers(images, size=(batch, images))
+        offset = np.arange(batch)[:, None] * images
+        times = np.bincount((drawn + offset).ravel(), minlength=drawn.size)
+        yield times.reshape(drawn.shape).astype(float)
+
+
+def write_json(
+    path: Path, scores: Iterable[Score], settings: Settings, found: Iterable[Offset] = ()
+) -> None:
     """
-    Write the settings, the meaning of the protocols and the scores of `evaluate` as JSON.
+    Write settings, meaning of the protocols, scores of `evaluate` and `offsets` as JSON.
 
     NaN is written as null, infinity as the text "inf".
     """
     document = {
         'settings': asdict(settings),
         'protocols': metrics.PROTOCOLS,
-        'scores': [{k: _plain(v) for k, v in asdict(score).items()} for score in scores],
+        'scores': [_plain(asdict(score)) for score in scores],
+        'offsets': [_plain(asdict(offset)) for offset in found],
     }
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     write_text(path, text + '\n')
 
 
 def _plain(value: Any) -> Any:
-    """Replace a number that JSON cannot hold."""
+    """Replace numbers that JSON cannot hold."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, tuple):
+        return [_plain(each) for each in value]
     if isinstance(value, float) and not np.isfinite(value):
         return 'inf' if value > 0 else None
     return value

@@ -37,6 +37,10 @@ class Grid:
     f: tuple[float, ...]
     s: tuple[float, ...]
 
+    def q_alone(self) -> Grid:
+        """Return the candidates of q, with f and s at 1."""
+        return Grid(self.q, (1.0,), (1.0,))
+
     @property
     def shape(self) -> tuple[int, int, int]:
         """Number of values of q, f and s."""
@@ -187,9 +191,11 @@ _HIGHEST = Point(1.0, F_RANGE[1], S_RANGE[1])
 _DIRECTIONS = np.kron(np.eye(3), [[1.0], [-1.0]])
 
 
-def refine(point: Point, value: Callable[[Point], tuple[float, ...]]) -> Point:
+def refine(point: Point, value: Callable[[Point], tuple[float, ...]], free: int = 3) -> Point:
     """
     Climb from a setting, one coordinate at a time with halving steps (compass search).
+
+    Only the first `free` coordinates move.
 
     It needs no derivative, which medians and shares do not have, and never ends below its start.
     `value` is maximised; its tuples are compared from the front.
@@ -198,7 +204,7 @@ def refine(point: Point, value: Callable[[Point], tuple[float, ...]]) -> Point:
     step = _FIRST_STEP
     while step >= _LAST_STEP:
         moved = False
-        for direction in _DIRECTIONS:
+        for direction in _DIRECTIONS[: 2 * free]:
             other = Point(*np.clip(point + step * direction, _LOWEST, _HIGHEST).tolist())
             found = value(other)
             if found > best:

@@ -131,3 +131,35 @@ def iou(xyxy: FloatArray, reference: FloatArray) -> FloatArray:
 def hull_inside(xyxy: FloatArray, hulls: Sequence[FloatArray]) -> FloatArray:
     """Compute the area of each hull, (K, 2), inside its box, (4,), in square pixels, (N,)."""
     return _shared_area(np.array([shapely.polygons(hull) for hull in hulls], object), xyxy)
+
+
+def outlines(hulls: Sequence[FloatArray | None]) -> NDArray[np.object_]:
+    """Make geometries of hull polygons, (K, 2) each; None where there is none, or no area."""
+    found = np.full(len(hulls), None, object)
+    for row, hull in enumerate(hulls):
+        if hull is not None and len(hull) >= 3:
+            found[row] = shapely.polygons(hull)
+    # Masks touch and cross themselves.
+    found = np.asarray(shapely.make_valid(found), object)
+    found[~(shapely.area(found) > 0.0)] = None
+    return found
+
+
+def hull_share(xyxy: FloatArray, polygons: NDArray[np.object_]) -> FloatArray:
+    """
+    Compute the share of each hull's area inside its box, (N,).
+
+    `xyxy` are N boxes, (N, 4), pixels, and `polygons` the N `outlines`; NaN where either is
+    unknown.
+
+    Examples
+    --------
+    >>> hull = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 2.0], [0.0, 2.0]])
+    >>> hull_share(np.array([[1.0, 0.0, 9.0, 9.0]]), outlines([hull]))
+    array([0.75])
+    """
+    share = np.full(len(xyxy), np.nan)
+    known = np.isfinite(xyxy).all(axis=1) & ~shapely.is_missing(polygons)
+    if known.any():
+        share[known] = _shared_area(polygons[known], xyxy[known]) / shapely.area(polygons[known])
+    return share

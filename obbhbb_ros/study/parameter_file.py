@@ -59,9 +59,12 @@ def yaml_text(
 
 
 def _values(rule: HullRule, indent: str) -> list[str]:
-    """Format the four parameters of a rule."""
-    numbers = [f'{indent}{name}: {_double(getattr(rule, name))}' for name in ('q', 'f', 's')]
-    return [f'{indent}method: {json.dumps(rule.method)}', *numbers]
+    """Format the parameters of a rule; q_bow and q_stern only if it has them."""
+    numbers = {name: getattr(rule, name) for name in ('q', 'f', 's', 'q_bow', 'q_stern')}
+    lines = [
+        f'{indent}{name}: {_double(each)}' for name, each in numbers.items() if each is not None
+    ]
+    return [f'{indent}method: {json.dumps(rule.method)}', *lines]
 
 
 def _double(value: float) -> str:

@@ -27,6 +27,8 @@ from obbhbb_ros.study.metrics import PROTOCOLS
 from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.rules import TUNABLE_METHODS
 from obbhbb_ros.study.ships import Ships
+from obbhbb_ros.study.tables import known_figures
+from obbhbb_ros.study.tables import offset_notes
 from obbhbb_ros.study.tables import outcome_text
 
 SENSITIVITY_F = np.round(np.arange(0.5, 1.5001, 0.025), 3)
@@ -70,7 +72,7 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
     )
     environment.globals.update(
         ALL=evaluation.ALL, PROTOCOLS=PROTOCOLS, RULES=DEFAULT_RULES,
-        TUNABLE_METHODS=TUNABLE_METHODS, color_of=drawing.color_of,
+        TUNABLE_METHODS=TUNABLE_METHODS, color_of=drawing.color_of, known_figures=known_figures,
     )
     return environment.get_template('report.html').render(
         title=title,
@@ -79,6 +81,7 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
         references=len(known) if known else 0,
         settings=settings,
         scores=evaluation.nested(scores),
+        notes=offset_notes(evaluation.offsets(known, settings=settings)) if known else [],
         angles=drawing.svg(drawing.angle_figure(scores)),
         calibration=_calibration(known, seed) if known else None,
         comparison=comparison,

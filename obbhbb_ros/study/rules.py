@@ -28,12 +28,15 @@ def choose_rules(
     q: float | None = None,
     f: float | None = None,
     s: float | None = None,
+    q_bow: float | None = None,
+    q_stern: float | None = None,
 ) -> dict[str, HullRule]:
     """
     Choose a rule for each of some methods, all by default.
 
-    q, f and s are for the tunable methods, instead of those in `DEFAULT_RULES`. Raises ValueError
-    if a method is unknown or a parameter is out of range.
+    q, f and s are for the tunable methods, instead of those in `DEFAULT_RULES`, q_bow and q_stern
+    for those that have ends. Raises ValueError if a method is unknown or a parameter is out of
+    range.
     """
     unknown = [name for name in methods or () if name not in METHODS]
     if unknown:
@@ -42,7 +45,9 @@ def choose_rules(
     given: dict[str, Any] = {'q': q, 'f': f, 's': s}
     given = {name: value for name, value in given.items() if value is not None}
     for name in chosen.keys() & set(TUNABLE_METHODS):
-        chosen[name] = replace(chosen[name], **given)
+        two_ended = METHODS[name].two_ended
+        ends: dict[str, Any] = {'q_bow': q_bow, 'q_stern': q_stern} if two_ended else {}
+        chosen[name] = replace(chosen[name], **given, **ends)
     return chosen
 
 

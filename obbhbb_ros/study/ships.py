@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,8 +20,15 @@ from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import OnError
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.labels.records import BOW_SOURCES
+from obbhbb_ros.study.bows import bow_sides
+from obbhbb_ros.study.bows import with_bows
 from obbhbb_ros.study.matching import match_references
+from obbhbb_ros.study.metrics import outlines
 from obbhbb_ros.study.progress import track
+
+# Beside what labels say: the end of the hull with less area.
+BOWS = (*BOW_SOURCES, 'hull')
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +63,12 @@ class Ships:
     skipped: int = 0
 
     @classmethod
-    def from_labels(cls, images: Iterable[ImageLabels]) -> Ships:
+    def from_labels(cls, images: Iterable[ImageLabels], bow: str = 'none') -> Ships:
         """
         Join the labels of images; images with the same name become one.
+
+        `bow` is how the bow is known: as in `ImageLabels.boxes`, or `hull`, see
+        `obbhbb_ros.study.bows.bow_sides`.
 
         Boxes without area or with numbers that are not finite are left out. Raises ValueError if
         no ship remains.
@@ -65,7 +77,9 @@ class Ships:
         image_of = [each.image for each in labels for _ in each.class_ids]
         if not image_of:
             raise ValueError('no ships in the labels')
-        boxes = OrientedBoxes.from_corners(np.concatenate([each.corners for each in labels]))
+        if bow not in BOWS:
+            raise ValueError(f'bow must be one of {", ".join(BOWS)}, not {bow!r}')
+        boxes = _boxes(labels, bow)
         ships = cls(
             boxes=boxes,
             reference=np.concatenate([each.reference for each in labels]),
@@ -78,7 +92,9 @@ class Ships:
             hulls=tuple(hull for each in labels for hull in each.hulls),
             skipped=int(np.sum(~boxes.valid)),
         )
-        return ships if not ships.skipped else ships.take(boxes.valid)
+        if ships.skipped:
+            ships = ships.take(boxes.valid)
+        return ships.heading_by_hull() if bow == 'hull' else ships
 
     def __len__(self) -> int:
         """Count the ships."""
@@ -120,6 +136,21 @@ class Ships:
         with np.errstate(invalid='ignore'):
             return np.asarray((self.reference[:, 2:] > self.reference[:, :2]).all(axis=1))
 
+    def heading_by_hull(self) -> Ships:
+        """Return the ships with their bows from their hulls, see `bow_sides`."""
+        return replace(self, boxes=with_bows(self.boxes, bow_sides(self.boxes, self.hulls)))
+
+    @property
+    def with_bow(self) -> NDArray[np.bool_]:
+        """Whether the bow of each ship is known, shape (N,)."""
+        bow = self.boxes.bow
+        return np.zeros(len(self), dtype=bool) if bow is None else bow
+
+    @cached_property
+    def outlines(self) -> NDArray[np.object_]:
+        """Hulls as geometries, shape (N,), see `obbhbb_ros.study.metrics.outlines`."""
+        return outlines(self.hulls)
+
     @property
     def tilt(self) -> FloatArray:
         """
@@ -142,6 +173,7 @@ def read_ships(
     *,
     reference: str | os.PathLike[str] | None = None,
     image_size: tuple[int, int] | None = None,
+    bow: str = 'none',
     on_error: OnError | None = None,
 ) -> Ships:
     """
@@ -158,6 +190,8 @@ def read_ships(
         `obbhbb_ros.study.matching.match_references`. By default those in `paths`.
     image_size : tuple of int, optional
         Width and height of every image, pixels, for normalised formats.
+    bow : str
+        How the bow is known, one of `BOWS`; see `Ships.from_labels`.
     on_error : callable, optional
         Called with the error of each malformed record; by default the first one is raised.
 
@@ -174,7 +208,21 @@ def read_ships(
     images = tuple(labels for path in paths for labels in read(path, format))
     if reference is not None:
         images = match_references(images, read(reference)).images
-    return Ships.from_labels(images)
+    return Ships.from_labels(images, bow)
+
+
+def _boxes(labels: Sequence[ImageLabels], bow: str) -> OrientedBoxes:
+    """Join the boxes of images, with the bows that the labels know."""
+    corners = np.concatenate([each.corners for each in labels])
+    if bow == 'first-edge':
+        return OrientedBoxes.from_corners(corners, bow=True)
+    if bow == 'labels' and any(each.bow is not None for each in labels):
+        known = [
+            np.zeros(len(each.class_ids), bool) if each.bow is None else each.bow
+            for each in labels
+        ]
+        return OrientedBoxes.from_corners(corners, bow=np.concatenate(known))
+    return OrientedBoxes.from_corners(corners)
 
 
 def _numbered(names: Sequence[Any]) -> NDArray[np.intp]:

@@ -13,10 +13,11 @@ from obbhbb_ros.converter import HullRule
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import metrics
+from obbhbb_ros.study.calibration import LEAST_GAIN
 from obbhbb_ros.study.calibration import OBJECTIVES
-from obbhbb_ros.study.calibration import Plan
 from obbhbb_ros.study.chip_costs import ENCODERS
 from obbhbb_ros.study.chip_costs import Cost
+from obbhbb_ros.study.cross_validation import CALIBRATED
 from obbhbb_ros.study.cross_validation import Outcome
 from obbhbb_ros.study.paper_table import Comparison
 from obbhbb_ros.study.rules import TUNABLE_METHODS
@@ -38,13 +39,13 @@ def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def score_tables(
     scores: Sequence[evaluation.Score],
     settings: evaluation.Settings = evaluation.DEFAULT_SETTINGS,
+    found: Sequence[evaluation.Offset] = (),
 ) -> str:
-    """Tabulate scores: for each protocol all figures over all ships, then mean IoU by stratum."""
-    head = [
-        'method', 'q / f / s', 'mean IoU', '95 % interval', f'match{settings.threshold * 100:g}',
-        'overshoot', 'undershoot', 'avg. error', 'area error', 'coverage',
-        f'keep {settings.keep:.0%}', 'area/outer',
-    ]
+    """
+    Tabulate scores: for each protocol all figures over all ships, then mean IoU by stratum.
+
+    With offsets `found`, they follow, and a note if there is a significant one.
+    """
     parts = []
     for protocol, by_stratum in evaluation.nested(scores).items():
         overall = list(by_stratum[evaluation.ALL].values())
@@ -52,27 +53,90 @@ def score_tables(
             f'protocol {protocol}: {metrics.PROTOCOLS[protocol]}, '
             f'{overall[0].ships} ships in {overall[0].images} images'
         )
-        parts.append(f'{title}\n{text_table(head, [_score_row(each) for each in overall])}')
+        parts.append(f'{title}\n{_score_table(overall, settings)}')
         rows = []
         for stratum, by_method in by_stratum.items():
             mine = list(by_method.values())
             rows.append([stratum, str(mine[0].ships), *(f'{score.iou:.4f}' for score in mine)])
         table = text_table(['stratum', 'ships', *by_stratum[evaluation.ALL]], rows)
         parts.append(f'mean IoU by stratum, {title}\n{table}')
+    if found:
+        parts.append(f'median offset from the reference box, px\n{_offset_table(found)}')
+        parts += offset_notes(found)
     return '\n\n'.join(parts)
 
 
-def _score_row(score: evaluation.Score) -> list[str]:
-    """Format the figures of one method."""
-    tuned = score.method in TUNABLE_METHODS
+def known_figures(scores: Sequence[evaluation.Score]) -> dict[str, evaluation.Figure]:
+    """Select the figures that are known of any of the scores."""
+    return {
+        name: figure for name, figure in evaluation.FIGURES.items()
+        if not all(np.isnan(getattr(score, name)) for score in scores)
+    }
+
+
+def _score_table(scores: Sequence[evaluation.Score], settings: evaluation.Settings) -> str:
+    """Tabulate the figures of methods."""
+    shown = known_figures(scores)
+    head = ['method', 'q / f / s', *(each.heading(settings) for each in shown.values())]
+    rows = []
+    for score in scores:
+        cells = [f'{getattr(score, name):{each.form}}' for name, each in shown.items()]
+        rows.append([score.method, _tuned(score), *cells])
+    interval = [
+        '' if np.isnan(score.iou_low) else f'{score.iou_low:.3f}-{score.iou_high:.3f}'
+        for score in scores
+    ]
+    # Next to the mean IoU.
+    for line, cell in zip([head, *rows], ['95 % interval', *interval], strict=True):
+        line.insert(3, cell)
+    return text_table(head, rows)
+
+
+def _tuned(score: evaluation.Score) -> str:
+    """Format the parameters of a method that has any."""
+    if score.method not in TUNABLE_METHODS:
+        return ''
+    ends = {'bow': score.q_bow, 'stern': score.q_stern}
+    given = [f', {name} {q:.4g}' for name, q in ends.items() if q is not None]
+    return f'{score.q:.4g} / {score.f:.4g} / {score.s:.4g}{"".join(given)}'
+
+
+def _offset_table(found: Sequence[evaluation.Offset]) -> str:
+    """Tabulate offsets of centres and sides."""
+    rows = [
+        [
+            each.method, f'{each.x:+.2f}', _range(each.x_interval),
+            f'{each.y:+.2f}', _range(each.y_interval),
+            *(f'{side:+.2f}' for side in (each.left, each.top, each.right, each.bottom)),
+        ]
+        for each in found
+    ]
+    head = [
+        'method', 'centre x', '95 % interval', 'centre y', '95 % interval',
+        'left', 'top', 'right', 'bottom',
+    ]
+    return text_table(head, rows)
+
+
+def _range(interval: evaluation.Interval) -> str:
+    """Format an interval of pixels."""
+    return '' if np.isnan(interval.low) else f'{interval.low:+.2f} to {interval.high:+.2f}'
+
+
+def offset_notes(found: Sequence[evaluation.Offset]) -> list[str]:
+    """Warn of significant offsets, in one line each; methods with the same offset share one."""
+    methods: dict[str, list[str]] = {}
+    for each in found:
+        if each.significant:
+            where = (
+                f'{each.x:+.2f} px in x ({_range(each.x_interval)}) and '
+                f'{each.y:+.2f} px in y ({_range(each.y_interval)})'
+            )
+            methods.setdefault(where, []).append(each.method)
     return [
-        score.method,
-        f'{score.q:.4g} / {score.f:.4g} / {score.s:.4g}' if tuned else '',
-        f'{score.iou:.4f}',
-        '' if np.isnan(score.iou_low) else f'{score.iou_low:.3f}-{score.iou_high:.3f}',
-        f'{score.match:.4f}', f'{score.overshoot:.4f}', f'{score.undershoot:.4f}',
-        f'{score.average_error:.4f}', f'{score.area_error:.4f}', f'{score.coverage:.4f}',
-        f'{score.kept:.1%}', f'{score.area:.4f}',
+        f'note: significant offset from the reference boxes: {where}'
+        + ('' if len(names) == len(found) else f', {", ".join(names)}')
+        for where, names in methods.items()
     ]
 
 
@@ -86,6 +150,8 @@ def outcome_text(outcome: Outcome) -> str:
     ]
     if outcome.held_out:
         parts.append(_held_out_table(outcome))
+    if trials := _trial_lines(outcome):
+        parts.append('\n'.join(trials))
     if outcome.rule_of_aspect:
         bands = [
             (f'{low:.2f} to {high:.2f}', _parameters(rule))
@@ -98,7 +164,7 @@ def outcome_text(outcome: Outcome) -> str:
         classes = [(name, _parameters(rule)) for name, rule in outcome.rule_of_class.items()]
         parts.append(text_table(('class', 'rule'), classes))
     if plan.objective == 'coverage':
-        parts.append(_guarantee(plan))
+        parts.append(_guarantee(outcome))
     return '\n\n'.join(parts + outcome.notes)
 
 
@@ -119,19 +185,51 @@ def _held_out_table(outcome: Outcome) -> str:
     return text_table(head, rows)
 
 
-def _guarantee(plan: Plan) -> str:
-    """State what a calibration for coverage guarantees, and under which assumption."""
+def _trial_lines(outcome: Outcome) -> list[str]:
+    """Say what was tried beside q, what it gained and whether it was fitted."""
+    plan, trials = outcome.plan, outcome.trials
+    tried = {
+        ('f' if plan.objective == 'coverage' else 'f and s') + ' over q alone': trials.over_q,
+        f'q_bow and q_stern over q, {outcome.ships.with_bow.sum()} ships with a known bow':
+            trials.ends,
+    }
+    unit = OBJECTIVES[plan.objective].unit
+    return [
+        f'{name}: gain {gain:+.4f} of held-out {unit}, fitted' if gain >= LEAST_GAIN else
+        f'{name}: gain none ({gain:+.4f} of held-out {unit}, below {LEAST_GAIN:g}), not fitted'
+        for name, gain in tried.items() if gain is not None
+    ]
+
+
+def _guarantee(outcome: Outcome) -> str:
+    """State what a calibration for coverage guarantees, on what condition, and its scatter."""
+    plan = outcome.plan
     unit = 'ships' if plan.per_image == 1 else f'images of at most {plan.per_image} ships'
-    return (
+    text = (
         f'Guarantee: a new ship keeps {plan.keep:.0%} of its reference box with a probability of '
         f'at least {plan.share:.0%},\nif new {unit} are exchangeable with those that gave s '
         '(half of the images; the others gave q and f).'
     )
+    if outcome.covered:
+        low, high = outcome.covered
+        text += (
+            f'\nIt holds on average. One calibration, counted on as many new images, lands between '
+            f'{low:.1%} and {high:.1%}\n(95 % interval over images; ships of an image are alike).'
+        )
+    if outcome.held_out:
+        low, high = outcome.interval(CALIBRATED, 'kept')
+        share = outcome.held_out[CALIBRATED]['kept'].mean()
+        text += (
+            f'\nHeld out, {share:.1%} of the ships keep it ({low:.1%} to {high:.1%}, '
+            '95 % interval over images).'
+        )
+    return text
 
 
 def _parameters(rule: HullRule) -> str:
     """Format the parameters of a rule."""
-    return f'q {rule.q:.4g}, f {rule.f:.4g}, s {rule.s:.4g}'
+    values = {'q': rule.q, 'f': rule.f, 's': rule.s, 'q_bow': rule.q_bow, 'q_stern': rule.q_stern}
+    return ', '.join(f'{name} {each:.4g}' for name, each in values.items() if each is not None)
 
 
 def comparison_table(found: Sequence[Comparison]) -> str:

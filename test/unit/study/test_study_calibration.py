@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibration: Algorithm 2, refinement, folds by image, and what coverage guarantees."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,11 +15,15 @@ from hypothesis import strategies as st
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_by_rule
+from obbhbb_ros.study.calibration import LEAST_GAIN
 from obbhbb_ros.study.calibration import Plan
 from obbhbb_ros.study.calibration import calibrate
 from obbhbb_ros.study.calibration import conformal_rank
+from obbhbb_ros.study.calibration import covered_shares
+from obbhbb_ros.study.calibration import decide
 from obbhbb_ros.study.calibration import enough
 from obbhbb_ros.study.calibration import folds_of
+from obbhbb_ros.study.calibration import gain_over_q
 from obbhbb_ros.study.calibration import split
 from obbhbb_ros.study.cross_validation import aspect_groups
 from obbhbb_ros.study.cross_validation import class_groups
@@ -242,6 +247,7 @@ def test_references_of_other_ships_cannot_be_covered() -> None:
         ({'objective': 'best'}, 'objective must be one of mean_iou, match50, coverage'),
         ({'keep': 0.0}, 'keep must be in'),
         ({'share': 1.0}, 'share must be in'),
+        ({'fit': 'most'}, 'fit must be one of auto, all, q'),
         ({'per_image': 0}, 'per_image must be 1 or more'),
     ],
 )
@@ -344,3 +350,84 @@ def test_the_synthetic_hulls_prefer_the_exact_projection() -> None:
         for method in ('superellipse', 'shape_aware')
     }
     assert best['superellipse'] > best['shape_aware'] + 0.02
+
+
+# What is fitted beside q ----------------------------------------------------------------------
+
+def test_q_alone_is_fitted_where_f_and_s_gain_nothing() -> None:
+    ships = made_by(HullRule('superellipse', 3.3), noise=0.03)
+    assert gain_over_q(ships, Plan()) < LEAST_GAIN
+    rule = calibrate(ships)
+    assert (rule.f, rule.s) == (1.0, 1.0)
+    assert rule.q == pytest.approx(3.3, rel=0.1)
+    # Fitted all the same, they drift.
+    assert calibrate(ships, Plan(fit='all')) != rule
+    assert calibrate(ships, Plan(fit='q')) == rule
+
+
+def test_f_and_s_are_fitted_where_references_are_larger_than_any_hull() -> None:
+    ships = made_by(HullRule('superellipse', 3.0, 1.0, 1.1))
+    assert gain_over_q(ships, Plan()) > 0.01
+    rule = calibrate(ships)
+    assert rule == calibrate(ships, Plan(fit='all'))
+    assert rule.s > 1.05
+    assert calibrate(ships, Plan(fit='q')).s == 1.0
+
+
+def test_one_image_shows_no_gain_so_q_alone_is_fitted() -> None:
+    ships = made_by(HullRule('superellipse', 3.0, 1.0, 1.1), count=40, per_image=40)
+    assert gain_over_q(ships, Plan()) == 0.0
+    assert calibrate(ships).s == 1.0
+
+
+def test_for_coverage_f_is_decided_on_the_half_that_does_not_give_s() -> None:
+    ships = made_by(HullRule('superellipse', 3.0), noise=0.03)
+    plan, trials = decide(ships, Plan(objective='coverage'))
+    half = split(ships)[0]
+    assert trials.over_q == gain_over_q(half, Plan(objective='coverage'))
+    assert plan.fit == ('all' if trials.over_q >= LEAST_GAIN else 'q')
+
+
+def upright(scales):
+    """Upright ships, one an image, whose references are so much larger than their boxes."""
+    reference = np.outer(scales, [-20.0, -5.0, 20.0, 5.0])
+    return fleet([[0, 0, 40, 10, 0]] * len(scales), reference, images=range(len(scales)))
+
+
+def test_where_all_ships_need_the_same_s_all_keep_enough() -> None:
+    plan = Plan(objective='coverage', keep=0.9, share=0.8)
+    assert covered_shares(upright([1.1] * 40), HullRule(), plan, samples=50) == (1.0, 1.0)
+
+
+def test_where_half_of_the_ships_need_more_the_share_scatters_as_draws_of_a_coin() -> None:
+    # For a quarter of the ships, s is that of the half that needs less; the others all miss.
+    ships = upright([1.0, 1.2] * 200)
+    plan = Plan(objective='coverage', keep=1.0, share=0.25)
+    low, high = covered_shares(ships, HullRule(), plan)
+    # 200 images give s; those that need less are drawn 200 times.
+    half = split(ships)[1]
+    part = float(np.mean(half.reference[:, 2] == 20.0))
+    spread = 1.96 * np.sqrt(part * (1.0 - part) / 200)
+    assert (low, high) == pytest.approx((part - spread, part + spread), abs=0.015)
+
+
+def test_coverage_scatters_more_where_ships_of_an_image_are_alike() -> None:
+    plan = Plan(objective='coverage', grid=SMALL, refine=False, keep=0.9, share=0.8)
+    widths = []
+    for ships in (alike(80, 0), replace(alike(80, 0), image_of=np.arange(400))):
+        low, high = covered_shares(ships, calibrate(ships, plan), plan, samples=300)
+        assert 0.5 < low < 0.8 < high < 1.0
+        widths.append(high - low)
+    assert widths[0] > 1.3 * widths[1]
+
+
+def test_the_scatter_holds_most_new_fleets() -> None:
+    plan = Plan(objective='coverage', grid=SMALL, refine=False, keep=0.9, share=0.8)
+    inside = []
+    for seed in range(40):
+        known = alike(80, seed)
+        rule = calibrate(known, plan)
+        low, high = covered_shares(known, rule, plan, samples=200)
+        # As many images as those that gave s.
+        inside.append(low <= kept(alike(40, 900 + seed), rule, 0.9) <= high)
+    assert np.mean(inside) > 0.85

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a calibration comes to: what groups earn, and the parameter file."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -14,6 +16,7 @@ from obbhbb_ros.study.calibration import Plan
 from obbhbb_ros.study.calibration import calibrate
 from obbhbb_ros.study.cross_validation import CALIBRATED
 from obbhbb_ros.study.cross_validation import Gain
+from obbhbb_ros.study.cross_validation import fit_margin
 from obbhbb_ros.study.cross_validation import run
 from obbhbb_ros.study.grid_search import GRIDS
 from obbhbb_ros.study.parameter_file import yaml_text
@@ -166,3 +169,64 @@ def test_class_rules_stand_under_their_class(class_id) -> None:
 def test_what_the_node_cannot_read_is_not_written(rules, message) -> None:
     with pytest.raises(ValueError, match=message):
         yaml_text(*rules)
+
+
+@pytest.mark.parametrize(
+    ('mean', 'said', 'earned'),
+    [(0.0019, 'gain none, +0.0019', False), (0.002, 'gain +0.0020', True)],
+)
+def test_a_gain_below_two_thousandths_is_called_none(mean, said, earned) -> None:
+    gain = Gain('by class', mean, 0.001, 0.003)
+    assert said in str(gain)
+    assert gain.earned is earned
+
+
+def test_the_result_says_what_f_and_s_gain_and_whether_they_are_fitted() -> None:
+    same = run(two_classes(HullRule(), HullRule()), Plan(), folds=2)
+    assert 'f and s over q alone: gain none (' in outcome_text(same)
+    assert 'below 0.002), not fitted' in outcome_text(same)
+    large = HullRule(s=1.1)
+    text = outcome_text(run(two_classes(large, large), Plan(), folds=2))
+    assert 'of held-out mean IoU, fitted' in text
+
+
+def test_coverage_states_its_scatter_over_images() -> None:
+    ships = two_classes(HullRule(), HullRule(), count=200)
+    outcome = run(ships, Plan(objective='coverage', share=0.9), folds=2)
+    low, high = outcome.covered
+    text = outcome_text(outcome)
+    assert f'lands between {low:.1%} and {high:.1%}' in text
+    low, high = outcome.interval(CALIBRATED, 'kept')
+    assert f'({low:.1%} to {high:.1%}, 95 % interval over images)' in text
+
+
+def with_margin(margin, scale):
+    """Ships whose references are a margin larger than their default boxes."""
+    ships = two_classes(HullRule(), HullRule(), count=100)
+    boxes = OrientedBoxes(
+        ships.boxes.center, ships.boxes.long_axis * scale, ships.boxes.short_axis * scale,
+        ships.boxes.defects,
+    )
+    reference = convert_by_rule(boxes, HullRule()) + margin * np.array([-1, -1, 1, 1])
+    return replace(ships, boxes=boxes, reference=reference)
+
+
+def test_the_margin_that_made_the_references_is_found() -> None:
+    ships = with_margin(0.65, 0.3)
+    assert fit_margin(ships, convert_by_rule(ships.boxes, HullRule())) == 0.65
+
+
+def test_a_margin_is_reported_where_small_ships_gain_by_it() -> None:
+    text = outcome_text(run(with_margin(1.0, 0.3), Plan(fit='q'), folds=2))
+    assert 'px on each side, for ships of L W below 32 x 32 px: better than none' in text
+
+
+@pytest.mark.parametrize(('margin', 'scale'), [(0.0, 0.3), (1.0, 3.0)], ids=['none', 'large ships'])
+def test_a_margin_that_gains_nothing_is_not_mentioned(margin, scale) -> None:
+    assert 'px on each side' not in outcome_text(run(with_margin(margin, scale), Plan(), folds=2))
+
+
+def test_the_ends_of_a_rule_are_written_if_it_has_them() -> None:
+    values = parameters(yaml_text(HullRule(q_bow=2.0, q_stern=np.inf), {}))
+    assert (values['q_bow'], values['q_stern']) == (2.0, np.inf)
+    assert type(values['q_bow']) is float

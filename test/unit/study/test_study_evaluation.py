@@ -3,6 +3,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,15 +16,22 @@ from obbhbb_ros.converter import HullRule
 from obbhbb_ros.converter import convert_by_rule
 from obbhbb_ros.methods import METHODS
 from obbhbb_ros.study.evaluation import ALL
+from obbhbb_ros.study.evaluation import FIGURES
 from obbhbb_ros.study.evaluation import Settings
 from obbhbb_ros.study.evaluation import bootstrap_intervals
+from obbhbb_ros.study.evaluation import draws
 from obbhbb_ros.study.evaluation import evaluate
+from obbhbb_ros.study.evaluation import median_intervals
+from obbhbb_ros.study.evaluation import offsets
 from obbhbb_ros.study.evaluation import strata
 from obbhbb_ros.study.evaluation import write_csv
 from obbhbb_ros.study.evaluation import write_json
+from obbhbb_ros.study.metrics import hull_share
+from obbhbb_ros.study.metrics import outlines
 from obbhbb_ros.study.rules import choose_rules
 from obbhbb_ros.study.rules import convert_by_class
 from obbhbb_ros.study.ships import read_ships
+from obbhbb_ros.study.tables import offset_notes
 from obbhbb_ros.study.tables import score_tables
 
 FAST = Settings(bootstrap=0)
@@ -202,3 +210,119 @@ def test_csv_reads_back_as_the_scores(scores, tmp_path) -> None:
         rows = list(csv.DictReader(file))
     assert [float(row['iou']) for row in rows] == [score.iou for score in scores]
     assert [row['stratum'] for row in rows] == [score.stratum for score in scores]
+
+
+# Figures worked out by hand -------------------------------------------------------------------
+
+def overall(ships, rules=None, **options):
+    """Scores over all ships, protocol hbb, by method."""
+    found = evaluate(ships, rules or choose_rules(['outer']), ['hbb'], Settings(**options))
+    return {score.method: score for score in found if score.stratum == ALL}
+
+
+def test_recall_counts_ious_of_75_and_90_and_averages_over_ten_thresholds() -> None:
+    # An upright box 100 long against references 100, 80 and 60 long: IoU 1, .8 and .6.
+    reference = [[0.0, 0, 100, 10], [0, 0, 80, 10], [0, 0, 60, 10]]
+    score = overall(fleet([[50, 5, 100, 10, 0]] * 3, reference), bootstrap=0)['outer']
+    assert score.iou == pytest.approx(0.8)
+    assert (score.match, score.match75, score.match90) == pytest.approx((1.0, 2 / 3, 1 / 3))
+    # .50 to .95 are 10, to .80 are 7 and to .60 are 3 thresholds.
+    assert score.match_average == pytest.approx((1.0 + 0.7 + 0.3) / 3)
+
+
+@given(st.lists(st.floats(1.0, 100.0), min_size=1, max_size=9))
+def test_recall_falls_with_the_threshold_and_its_average_lies_between(lengths) -> None:
+    reference = [[0.0, 0.0, length, 10.0] for length in lengths]
+    score = overall(fleet([[50, 5, 100, 10, 0]] * len(lengths), reference), bootstrap=0)['outer']
+    assert score.match90 <= score.match75 <= score.match
+    assert 0.3 * score.match75 <= score.match_average <= score.match + 1e-12
+
+
+def with_hulls(ships, hulls):
+    return replace(ships, hulls=tuple(None if hull is None else np.array(hull) for hull in hulls))
+
+
+def test_a_hull_is_kept_from_99_percent_of_its_area_on() -> None:
+    # Boxes 100 x 10; hulls that lie in them whole, but for 1 % and but for 2 %.
+    hulls = [[(a, 0), (a + 100.0, 0), (a + 100.0, 10), (a, 10)] for a in (0.0, 1.0, 2.0)]
+    ships = fleet([[50, 5, 100, 10, 0]] * 4, [[0.0, 0, 100, 10]] * 4)
+    score = overall(with_hulls(ships, [*hulls, None]), bootstrap=0)['outer']
+    # Of the three whose hull is known.
+    assert score.hull_kept == pytest.approx(2 / 3)
+
+
+def test_without_hulls_there_is_no_share_of_them_and_no_column(scores) -> None:
+    assert all(np.isnan(score.hull_kept) for score in scores)
+    assert 'hull 99%' not in score_tables(scores)
+    ships = fleet([[50, 5, 100, 10, 0]], [[0.0, 0, 100, 10]])
+    ships = with_hulls(ships, [[(0, 0), (9, 0), (9, 9)]])
+    assert 'hull 99%' in score_tables(evaluate(ships, settings=FAST))
+
+
+def test_a_mask_that_crosses_itself_still_has_an_area() -> None:
+    # Two triangles of 25 that meet in a point, one of them inside the box.
+    crossed = np.array([(0.0, 0), (10, 10), (10, 0), (0, 10)])
+    hulls = outlines([crossed, None, crossed[:2]])
+    share = hull_share(np.array([[0.0, 0.0, 5.0, 10.0]] * 3), hulls)
+    assert share == pytest.approx([0.5, np.nan, np.nan], nan_ok=True)
+
+
+def shifted(dx, dy, count=30):
+    """Upright ships 100 x 10 whose references lie elsewhere, each in an image of its own."""
+    rows = [[50.0 + 200.0 * i, 5.0, 100.0, 10.0, 0.0] for i in range(count)]
+    offset = np.array([dx, dy, dx, dy])
+    reference = [[200.0 * i, 0.0, 200.0 * i + 100.0, 10.0] for i in range(count)] - offset
+    return fleet(rows, reference, images=range(count))
+
+
+def test_a_constant_offset_is_measured_and_warned_of_in_one_line() -> None:
+    (found,) = offsets(shifted(1.5, -0.25), choose_rules(['outer']))
+    assert (found.x, found.y) == (1.5, -0.25)
+    assert (found.x_interval, found.y_interval) == ((1.5, 1.5), (-0.25, -0.25))
+    assert (found.left, found.top, found.right, found.bottom) == (1.5, -0.25, 1.5, -0.25)
+    assert offset_notes([found]) == [
+        'note: significant offset from the reference boxes: +1.50 px in x (+1.50 to +1.50) and '
+        '-0.25 px in y (-0.25 to -0.25)'
+    ]
+
+
+@pytest.mark.parametrize(('dx', 'significant'), [(0.0, False), (1e-9, False), (0.02, True)])
+def test_an_offset_that_cannot_be_seen_is_not_significant(dx, significant) -> None:
+    (found,) = offsets(shifted(dx, 0.0), choose_rules(['outer']))
+    assert found.significant is significant
+    assert bool(offset_notes([found])) is significant
+
+
+def test_offsets_to_both_sides_are_not_significant_and_neither_is_one_without_interval() -> None:
+    ships = shifted(0.0, 0.0)
+    reference = ships.reference + np.where(np.arange(30) % 2, 1.0, -1.0)[:, None]
+    (found,) = offsets(replace(ships, reference=reference), choose_rules(['outer']))
+    assert not found.significant
+    (found,) = offsets(shifted(3.0, 0.0), choose_rules(['outer']), FAST)
+    assert (found.x, found.significant) == (3.0, False)
+
+
+def test_a_box_that_is_too_large_has_no_offset_of_its_centre_but_of_its_sides() -> None:
+    ships = shifted(0.0, 0.0)
+    inner = ships.reference + [2.0, 1.0, -2.0, -1.0]
+    (found,) = offsets(replace(ships, reference=inner), choose_rules(['outer']))
+    assert (found.x, found.y, found.significant) == (0.0, 0.0, False)
+    assert (found.left, found.top, found.right, found.bottom) == (-2.0, -1.0, 2.0, 1.0)
+
+
+@given(st.lists(st.tuples(st.integers(-9, 9), st.integers(0, 5)), min_size=1, max_size=30))
+def test_the_interval_of_a_median_is_that_of_medians_of_drawn_images(pairs) -> None:
+    values, images = (np.array(column) for column in zip(*pairs, strict=True))
+    (found,) = median_intervals([values.astype(float)], images, samples=20, seed=4)
+    _, index = np.unique(images, return_inverse=True)
+    medians = [
+        np.median(np.repeat(values, times[index].astype(int)))
+        for batch in draws(index.max() + 1, 20, 4) for times in batch
+    ]
+    assert found == pytest.approx(tuple(np.quantile(medians, (0.025, 0.975))))
+
+
+def test_every_figure_of_a_score_has_a_column_in_its_table(scores) -> None:
+    table = score_tables(scores)
+    for name, figure in FIGURES.items():
+        assert (figure.heading(Settings()) in table) == (name != 'hull_kept'), name
