@@ -29,6 +29,10 @@ from sensor_msgs.msg import Image
 from wire import TEXTS
 from wire import run_mutations
 from wire import seed_message
+from yolo_msgs.msg import Detection
+from yolo_msgs.msg import DetectionArray
+from yolo_msgs.msg import KeyPoint2D
+from yolo_msgs.msg import Point2D as MaskPoint
 
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
 from obbhbb_ros.downlink.chips import ChipError
@@ -48,7 +52,10 @@ EXTREMES = [0.0, -0.0, 5e-324, 1e-308, 1e15, 1e150, 1e154, 1e155, 1.7e308, np.na
 
 
 SETTINGS = [
-    OBB_TO_HBB.settings({'invalid_policy': policy, 'crop.merge_max_size': merged})
+    OBB_TO_HBB.settings({
+        'invalid_policy': policy, 'crop.merge_max_size': merged, 'clip_boxes': bool(merged),
+        'heading': 'theta' if merged else 'none', 'q_bow': 2.2,
+    })
     for policy, merged in (('drop', 0), ('keep', 300))
 ]
 
@@ -84,6 +91,23 @@ def polygon_seed(source: random.Random) -> bytes:
     polygon = Polygon(points=[Point32(x=x, y=y) for x, y in points])
     message = PolygonStamped(polygon=polygon)
     message.header.frame_id = source.choice(TEXTS)
+    return serialize_message(message)
+
+
+def yolo_seed(source: random.Random) -> bytes:
+    """Write a `yolo_msgs/DetectionArray`."""
+    message = DetectionArray()
+    message.header.frame_id = source.choice(TEXTS)
+    for _ in range(source.choice([0, 1, 3, 40])):
+        detection = Detection(
+            class_name=source.choice(TEXTS), id=source.choice(TEXTS), score=source.random()
+        )
+        center, size = detection.bbox.center, detection.bbox.size
+        center.position.x, center.position.y = coordinate(source), coordinate(source)
+        center.theta, size.x, size.y = coordinate(source), coordinate(source), coordinate(source)
+        detection.mask.data = [MaskPoint()] * source.choice([0, 0, 2, 9])
+        detection.keypoints.data = [KeyPoint2D()] * source.choice([0, 0, 1, 4])
+        message.detections.append(detection)
     return serialize_message(message)
 
 
@@ -165,6 +189,7 @@ def camera_check(data: bytes) -> str:
 
 KINDS = {
     'detections': (seed_message, batch_check('Detection2DArray')),
+    'yolo': (yolo_seed, batch_check('DetectionArray')),
     'polygons': (polygons_seed, batch_check('Polygon2DCollection')),
     'polygon': (polygon_seed, batch_check('PolygonStamped')),
     'regions': (seed_message, regions_check),
