@@ -426,13 +426,14 @@ def _minimum_rotated_rectangles(rings: Sequence[FloatArray]) -> FloatArray:
 
 
 def _oriented_envelopes(geometries: Any) -> Any:
-    """Compute oriented envelopes; None where GEOS fails."""
+    """Compute oriented envelopes; None where shapely fails."""
     try:
         with np.errstate(all='ignore'):
             return shapely.oriented_envelope(geometries)
-    except shapely.errors.GEOSException:
+    # Before shapely 2.1 it computes them in Python and divides by the length of an edge.
+    except (shapely.errors.GEOSException, ArithmeticError):
         if len(geometries) == 1:
             return np.array([None])
-    # GEOS does not say which geometry failed, so try them one by one.
+    # The error does not say which geometry failed, so try them one by one.
     return np.concatenate([_oriented_envelopes(geometries[i : i + 1])
                            for i in range(len(geometries))])

@@ -126,13 +126,20 @@ def test_a_polygon_without_a_rectangle_is_marked(polygon, defect) -> None:
     np.testing.assert_allclose(boxes.length[[0, 2]], 8**0.5)
 
 
-def test_a_polygon_that_geos_raises_on_costs_its_neighbours_nothing() -> None:
-    thin = [
-        (6.8500510593043965e-301, -477738976.99282265), (3.3333333333333334e-301, 1),
-        (0, -5.336e-321), (-3.3e-322, -796928573.3537534),
-    ]
+@pytest.mark.parametrize(
+    'thin',
+    [
+        [
+            (6.8500510593043965e-301, -477738976.99282265), (3.3333333333333334e-301, 1),
+            (0, -5.336e-321), (-3.3e-322, -796928573.3537534),
+        ],
+        # An edge whose squared length underflows.
+        [(0.0, 0.0), (0.0, 0.0), (0.0, 1.0), (1.1113793747425424e-162, 0.0)],
+    ],
+)
+def test_a_polygon_that_shapely_raises_on_costs_its_neighbours_nothing(thin) -> None:
     boxes = OrientedBoxes.from_polygons([SQUARE_ON_ITS_TIP, thin, SQUARE_ON_ITS_TIP])
-    # Not every release of GEOS does raise.
+    # Not every release does raise.
     assert boxes.valid[[0, 2]].all()
     assert boxes.valid[1] == np.isfinite(boxes.corners[1]).all()
 
