@@ -196,7 +196,9 @@ def _oriented_boxes(
         return OrientedBoxes.from_polygons(polygons)
     xywhr = detections.xywhr()
     if settings.theta_scale != 1.0:
-        xywhr[:, 4] *= settings.theta_scale
+        # NumPy warns of a signalling NaN.
+        with np.errstate(invalid='ignore', over='ignore'):
+            xywhr[:, 4] *= settings.theta_scale
     if image_size and not frame.is_image:
         return frame.boxes_to_image(xywhr, image_size, settings.bow)
     return OrientedBoxes.from_xywhr(xywhr, bow=settings.bow)

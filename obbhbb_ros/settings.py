@@ -40,13 +40,13 @@ from obbhbb_ros.downlink.pairing import PairingLimits
 from obbhbb_ros.input_frame import FITS
 from obbhbb_ros.input_frame import InputFrame
 from obbhbb_ros.methods import ONBOARD_METHODS
+from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 Value: TypeAlias = bool | int | float | str | list[str]
 Values: TypeAlias = dict[str, Value]
 SettingsT = TypeVar('SettingsT')
 
-IMAGE_SIZE_LIMIT = 1_000_000
 # Each declares nine parameters
 MOST_CLASSES = 256
 # The largest integer that Qt's tools take, rqt_reconfigure among them.
@@ -172,7 +172,8 @@ class ParameterTable(Generic[SettingsT]):
         for row in self.class_rows:
             before, _, after = row.name.partition('<id>')
             for name in names:
-                if name.startswith(before) and name.endswith(after):
+                long_enough = len(name) > len(before) + len(after)
+                if long_enough and name.startswith(before) and name.endswith(after):
                     found.setdefault(name[len(before) : len(name) - len(after)])
         return list(found)
 

@@ -263,7 +263,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
             self._is_silent = is_silent
             if is_silent:
                 self.get_logger().error(f'no input for {silence:.0f} s, see input_timeout')
-            else:
+            elif self._active and timeout:
                 self.get_logger().info('no longer without input')
         return silence if is_silent else 0.0
 

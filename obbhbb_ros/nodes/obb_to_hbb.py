@@ -97,13 +97,14 @@ class ObbToHbb(ManagedNode[Settings]):
         if wants_boxes:
             self._boxes.publish(batch.boxes_message())
         # Asked only now: whoever waits for the boxes does not wait for this.
-        if _wanted(self._crop_regions):
-            if image_size:
-                self._crop_regions.publish(batch.crop_regions_message())
-            else:
-                self._warn_of_image_size('no crop regions')
-        if settings.clip_boxes and not image_size:
-            self._warn_of_image_size('boxes are not clipped')
+        wants_regions = _wanted(self._crop_regions)
+        if image_size is None:
+            missed = {'no crop regions': wants_regions,
+                      'boxes are not clipped': wants_boxes and settings.clip_boxes}
+            if any(missed.values()):
+                self._warn_of_image_size(', '.join(each for each in missed if missed[each]))
+        elif wants_regions:
+            self._crop_regions.publish(batch.crop_regions_message())
         self._monitor.counts.update(batch.counts)
         if batch.complaint:
             topic = self._detections.topic_name

@@ -47,9 +47,9 @@ from obbhbb_ros.labels.records import BowSource
 from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.managed import message_type
 from obbhbb_ros.nodes.parameters import LiveParameters
-from obbhbb_ros.settings import IMAGE_SIZE_LIMIT
 from obbhbb_ros.settings import Parameter
 from obbhbb_ros.settings import ParameterTable
+from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 _POLL_PERIOD = 0.1
@@ -294,6 +294,8 @@ def _xywhr(boxes: OrientedBoxes) -> FloatArray:
         # A size along theta that is the shorter one says that the bow is not known.
         unknown = ~boxes.bow
         rows[unknown] = rows[unknown][:, [0, 1, 3, 2, 4]] + (0.0, 0.0, 0.0, 0.0, np.pi / 2.0)
+        # Of a square as well.
+        rows[unknown, 3] = np.maximum(rows[unknown, 3], rows[unknown, 2] * (1.0 + 1e-9))
         rows[boxes.bow, 4] = np.arctan2(*boxes.first[::-1, boxes.bow])
     return rows
 

@@ -90,11 +90,20 @@ class Step(NamedTuple):
     size: int
     """Bytes of a number."""
     length: int
-    """Bytes of the numbers, or of an item of an array."""
+    """Bytes of the numbers, or of an item of an array; fewest bytes of an element."""
     inner: Sequence[Step]
     """Steps over an element of a sequence."""
     alignment: int
     """Multiple of bytes at which the numbers or the length start; 1: they do so by themselves."""
+
+
+def smallest(steps: Sequence[Step]) -> int:
+    """Return the fewest bytes that a struct takes."""
+    return sum(step.length if step.kind is Numbers else _LEAST[step.kind] for step in steps)
+
+
+# A string has at least its closing zero.
+_LEAST = {Text: 5, Array: 4, Many: 4}
 
 
 def steps_of(struct: Struct, prefix: str = '') -> list[Step]:
@@ -119,7 +128,8 @@ def steps_of(struct: Struct, prefix: str = '') -> list[Step]:
         if isinstance(kind, dict):
             new = steps_of(kind, f'{path}.')
         elif isinstance(kind, Many):
-            new = [Step(Many, path, 4, 0, steps_of(kind.element, f'{path}.'), 4)]
+            inner = steps_of(kind.element, f'{path}.')
+            new = [Step(Many, path, 4, smallest(inner), inner, 4)]
         elif isinstance(kind, Text):
             new = [Step(Text, path, 1, 0, (), 4)]
         else:
@@ -189,7 +199,7 @@ def walk(
                 if count:
                     at = (at + size - 1 & -size) + count * length
             else:
-                _check_count(words, count, path)
+                _check_count(path, count, length, 4 * len(words) - at)
                 for _ in range(count):
                     at = walk(words, at, inner, found, gaps)
     except IndexError:
@@ -213,7 +223,7 @@ def walk_all(
     ------
     UnevenError
         If they cannot be walked together: a string has no closing zero, or sequences of structs
-        differ in length.
+        differ in length, or the message cannot hold them all.
     IndexError
         If a length would lie behind the end.
     """
@@ -248,7 +258,9 @@ def _walk_elements(
     gaps: list[tuple[IntArray, IntArray]],
 ) -> IntArray:
     """Go over sequences of structs, the first elements of all, then the second ones, and so on."""
-    if (count != count[0]).any():
+    # The starts may be wrong, and overlap.
+    too_many = int(count.sum()) * step.length > 4 * len(words)
+    if too_many or (count != count[0]).any():
         raise UnevenError
     walks: list[dict[str, IntArray]] = []
     for _ in range(int(count[0])):
@@ -260,10 +272,10 @@ def _walk_elements(
     return at
 
 
-def _check_count(words: memoryview, count: int, path: str) -> None:
-    """Refuse a number of structs that the message cannot hold."""
-    if count > len(words):
-        raise WireError(f'{path}: the message cannot hold {count} elements')
+def _check_count(path: str, count: int, least: int, left: int) -> None:
+    """Refuse a number of structs that the bytes left cannot hold."""
+    if count * least > left:
+        raise WireError(f'{path}: {left} bytes cannot hold {count} elements')
 
 
 def _swap(body: NDArray[np.uint8], size: int, at: IntArray) -> None:
@@ -414,7 +426,7 @@ class Elements:
         at = walk(self._scalars, 0, header, found, gaps)
         self.header_words = at + 3 >> 2
         gaps.append((at, 4 * self.header_words))
-        self.count, at = _count(self._scalars, at) if many else (1, at)
+        self.count, at = _count(self._scalars, at, element) if many else (1, at)
         self._element = element
         self._at_once: dict[str, IntArray] = {}
         self._one_by_one: Found = defaultdict(list)
@@ -570,7 +582,7 @@ class Elements:
         found: Found = defaultdict(list)
         at = walk(words, 0, header, found, [])
         counts_at = [at + 3 & -4] if many else []
-        count, at = _count(words, at) if many else (1, at)
+        count, at = _count(words, at, element) if many else (1, at)
         for _ in range(count):
             at = walk(words, at, element, found, [])
         at = walk(words, at, tail, found, [])
@@ -617,10 +629,10 @@ def _flat(steps: Sequence[Step]) -> Iterator[Step]:
         yield from _flat(step.inner)
 
 
-def _count(words: memoryview, at: int) -> tuple[int, int]:
+def _count(words: memoryview, at: int, element: Sequence[Step]) -> tuple[int, int]:
     """Read how many elements a message has, and where they start."""
     at = at + 3 & -4
     if at >> 2 >= len(words):
         raise WireError(f'the message ends before the number of its elements, at byte {at}')
-    _check_count(words, words[at >> 2], 'number of elements')
+    _check_count('message', words[at >> 2], smallest(element), 4 * len(words) - at - 4)
     return words[at >> 2], at + 4

@@ -23,6 +23,7 @@ from obbhbb_ros.wire.cdr import ENDS
 from obbhbb_ros.wire.cdr import LITTLE_ENDIAN
 from obbhbb_ros.wire.cdr import Elements
 from obbhbb_ros.wire.cdr import IntArray
+from obbhbb_ros.wire.cdr import WireError
 from obbhbb_ros.wire.cdr import Words
 from obbhbb_ros.wire.cdr import steps_of
 from obbhbb_ros.wire.layouts import DETECTION_2D
@@ -49,6 +50,8 @@ _XYWHR = np.array([[0], [1], [3], [4], [2]])
 _BOX_BYTES = 8 * _XYWHR.size
 # x, y, theta, size x, size y.
 _NO_BOX = np.array([[nan], [nan], [0.0], [nan], [nan]])
+# Words of headers for each word of the message: every detection has one of its own.
+_MOST_HEADERS = 16
 # Score, pose with covariance.
 _HYPOTHESIS_WORDS = 88
 _ORIENTATION_W = 7
@@ -368,6 +371,8 @@ def _polygons(message: Elements, input_type: InputType) -> list[FloatArray]:
 def _as_detections(message: Elements, input_type: InputType) -> Elements:
     """Write a message's elements as detections; those without a class have no hypothesis."""
     count, head, source = message.count, message.header_words, message.words
+    if count * head > _MOST_HEADERS * len(source):
+        raise WireError(f'{count} elements with a header of {4 * head} bytes each')
     if input_type.id:
         id_source, ids = source, message.places(input_type.id) >> 2
     else:

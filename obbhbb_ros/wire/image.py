@@ -6,9 +6,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from obbhbb_ros.wire.cdr import Message
+from obbhbb_ros.wire.cdr import WireError
 from obbhbb_ros.wire.cdr import steps_of
 from obbhbb_ros.wire.layouts import CAMERA_INFO
 from obbhbb_ros.wire.layouts import IMAGE
+
+IMAGE_SIZE_LIMIT = 1_000_000
+"""Maximum width and height of an image that is planned for, pixels."""
 
 _IMAGE = steps_of(IMAGE)
 _CAMERA_INFO = steps_of(CAMERA_INFO)
@@ -96,11 +100,14 @@ def read_image_size(data: bytes) -> tuple[int, int]:
     Raises
     ------
     WireError
-        If the bytes are no such message.
+        If the bytes are no such message, or a side is longer than `IMAGE_SIZE_LIMIT`.
     """
     message = Message(data, _CAMERA_INFO)
     height, width = message.integers('height', 2)
     binning_x, binning_y, _, _, roi_height, roi_width = message.integers('binning_x', 6)
     if roi_width and roi_height:
         width, height = roi_width, roi_height
-    return width // max(binning_x, 1), height // max(binning_y, 1)
+    width, height = width // max(binning_x, 1), height // max(binning_y, 1)
+    if max(width, height) > IMAGE_SIZE_LIMIT:
+        raise WireError(f'an image of {width} x {height} pixels')
+    return width, height

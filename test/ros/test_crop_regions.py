@@ -313,6 +313,13 @@ def test_without_the_size_of_the_image_there_are_no_regions_but_a_warning(
     assert 'image_width' in line
     assert 'image_height' in line
     assert unsized.counts()['messages_without_image_size'] >= 1
+    # Once per message, whatever it goes without.
+    unsized.set({'clip_boxes': True})
+    before = unsized.counts()
+    unsized.convert(detections([SHIP]))
+    assert unsized.counts().since(before)['messages_without_image_size'] == 1
+    unsized.reset()
+    assert 'no crop regions' in unsized.process.log
     assert crops == []
 
 

@@ -130,6 +130,17 @@ def test_no_input_is_expected_while_inactive_or_without_a_timeout(
         assert node.next_report().level == DiagnosticStatus.OK
 
 
+def test_a_silent_node_that_is_deactivated_does_not_say_that_input_is_back(
+    start: Callable[..., Converter]
+) -> None:
+    node = start(parameters={'input_timeout': 0.5})
+    node.connect()
+    node.wait(lambda: node.next_report().level == DiagnosticStatus.ERROR, 'an error')
+    assert node.change_state(Transition.TRANSITION_DEACTIVATE)
+    node.wait(lambda: node.next_report().level == DiagnosticStatus.OK, 'no more of it')
+    assert 'no longer without input' not in node.process.log
+
+
 def test_the_hardware_is_the_node_unless_it_has_another_name(node: Converter) -> None:
     assert node.next_report().hardware_id == f'{node.namespace}/obb_to_hbb'
     node.set({'hardware_id': 'payload 2'})

@@ -24,6 +24,7 @@ from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.nodes.play_detections import _xywhr
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.nodes.play_detections import yolo_message
 
@@ -99,6 +100,14 @@ def test_the_player_tells_the_node_where_the_bow_is(
         expected = np.hstack(((xyxy[:, :2] + xyxy[:, 2:]) / 2.0, xyxy[:, 2:] - xyxy[:, :2]))
         # Corners were rounded: not all are rectangles to the last bit.
         np.testing.assert_allclose(answer[:, :4], expected, atol=0.01)
+
+
+def test_no_box_of_unknown_bow_gets_one_on_the_way_not_even_a_square() -> None:
+    sent = [[50, 50, 10, 10, 0.3], [50, 50, 40, 10, 0.3], [50, 50, 40, 10, 2.0], [9, 9, 5, 5, 1.0]]
+    boxes = OrientedBoxes.from_xywhr(sent, bow=np.array([False, False, True, True]))
+    received = OrientedBoxes.from_xywhr(_xywhr(boxes), bow=True)
+    np.testing.assert_array_equal(received.bow, [False, False, True, True])
+    np.testing.assert_allclose(convert(received), convert(boxes), rtol=1e-8)
 
 
 def test_an_input_type_that_is_not_installed_is_an_error_that_names_it(

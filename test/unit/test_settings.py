@@ -107,6 +107,11 @@ def test_values_that_cannot_be_used_are_refused_by_name(values, reason) -> None:
         OBB_TO_HBB.settings(values)
 
 
+def test_a_misspelt_class_parameter_makes_no_class() -> None:
+    names = ['classes.q', 'classes.tug.q', 'classes.a.b.f']
+    assert OBB_TO_HBB.mentioned_classes(names) == ['tug', 'a.b']
+
+
 def test_settings_of_the_chip_node_are_checked_together() -> None:
     with pytest.raises(ValueError, match='lossless'):
         CHIP_EXTRACTOR.settings({'codec': 'jpeg', 'lossless': True})

@@ -267,7 +267,7 @@ def test_a_count_of_hypotheses_that_the_message_cannot_hold_is_refused() -> None
     data = bytearray(encode(Message(detections=(Detection(results=()),))))
     at = data.index(b'camera\0', 20) + 8
     data[at : at + 4] = struct.pack('<I', 2**31)
-    with pytest.raises(WireError, match='results: the message cannot hold 2147483648 elements'):
+    with pytest.raises(WireError, match='results: 44 bytes cannot hold 2147483648 elements'):
         Detections(bytes(data))
 
 
