@@ -11,7 +11,7 @@ from setuptools import setup
 PACKAGE = 'obbhbb_ros'
 MANIFEST = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
 
-NODES = ('obb_to_hbb', 'chip_extractor', 'play_detections')
+NODES = ('obb_to_hbb', 'chip_extractor', 'downlink', 'play_detections')
 
 ROS = [
     'ros-jazzy-rclpy',

@@ -82,6 +82,15 @@ def write_pieces(path: Path, pieces: Iterable[str]) -> None:
         stream.writelines(pieces)
 
 
+def sync_folder(folder: Path) -> None:
+    """Have the names of the files in a folder on disk."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def _prepare(path: Path) -> None:
     """Create the parent folders, and refuse to replace a file without write permission."""
     if path.exists() and not os.access(path, os.W_OK):

@@ -10,6 +10,7 @@ What happens to a message: bytes and settings in, bytes and counts out. No ROS i
 from __future__ import annotations
 
 from collections import Counter
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,21 +118,42 @@ class Batch:
         ValueError
             If the size of the image is not known.
         """
-        if self._image_size is None:
-            raise ValueError('crop regions need the size of the image')
-        image_size = self._image_size
-        plan = self._plan(self._crop_boxes(), image_size)
-        self._count_crops(plan)
-        if self._settings.compare_outer:
-            outer_extents = half_extents(self._boxes, OUTER)
-            outer = self._plan(to_xyxy(self._boxes.center, outer_extents), image_size)
-            self.counts['crop_pixels.compared'] += plan.pixels
-            self.counts['crop_pixels.outer_boxes'] += outer.pixels
+        plan = self._crop_plan
         low, high = plan.regions.T[:2], plan.regions.T[2:]
         xywh = np.concatenate(((low + high) / 2.0, high - low)).T
         if plan.merged:
             return self._detections.joined(plan.groups(), xywh)
         return self._detections.selected(plan.sources, xywh)
+
+    def crop_sources_message(self) -> bytes:
+        """
+        Write the oriented box of the most valuable detection of each crop region, in their order.
+
+        The long side lies along theta, and the score is the value of the region.
+
+        Raises
+        ------
+        ValueError
+            If the size of the image is not known.
+        """
+        plan, boxes = self._crop_plan, self._boxes
+        rows = plan.sources[plan.offsets[:-1]]
+        xywhr = np.concatenate((boxes.center, (boxes.length, boxes.width, boxes.theta)))
+        return self._detections.ranked(rows, xywhr[:, rows], plan.values)
+
+    @cached_property
+    def _crop_plan(self) -> CropPlan:
+        """Plan the crop regions once, and count them."""
+        if self._image_size is None:
+            raise ValueError('crop regions need the size of the image')
+        plan = self._plan(self._crop_boxes(), self._image_size)
+        self._count_crops(plan)
+        if self._settings.compare_outer:
+            outer_extents = half_extents(self._boxes, OUTER)
+            outer = self._plan(to_xyxy(self._boxes.center, outer_extents), self._image_size)
+            self.counts['crop_pixels.compared'] += plan.pixels
+            self.counts['crop_pixels.outer_boxes'] += outer.pixels
+        return plan
 
     def _crop_boxes(self) -> FloatArray:
         """Lay boxes, (N, 4), around the boxes and the hulls that are to be kept."""

@@ -37,13 +37,14 @@ from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.pairing import PairingLimits
+from obbhbb_ros.downlink.release import ReleaseSettings
 from obbhbb_ros.input_frame import FITS
 from obbhbb_ros.input_frame import InputFrame
 from obbhbb_ros.methods import ONBOARD_METHODS
 from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
-Value: TypeAlias = bool | int | float | str | list[str]
+Value: TypeAlias = bool | int | float | str | list[str] | list[float]
 Values: TypeAlias = dict[str, Value]
 SettingsT = TypeVar('SettingsT')
 
@@ -68,7 +69,7 @@ class Parameter:
     ----------
     name : str
         Parameter name; `<id>` in it stands for each class id.
-    default : bool, int, float, str or list of str
+    default : bool, int, float, str, or a list of str or float that is not empty
         Its type is the parameter's type.
     meaning : str
         One sentence with the unit.
@@ -92,7 +93,7 @@ class Parameter:
     def type_name(self) -> str:
         """Name of the type in ROS documentation."""
         if isinstance(self.default, list):
-            return 'string[]'
+            return 'double[]' if isinstance(self.default[0], float) else 'string[]'
         return {bool: 'bool', int: 'int', float: 'double', str: 'string'}[type(self.default)]
 
     @property
@@ -161,7 +162,8 @@ class ParameterTable(Generic[SettingsT]):
             If there are more than `MOST_CLASSES`.
         """
         listed = values.get('class_ids', [])
-        found = [class_id for class_id in listed if class_id] if isinstance(listed, list) else []
+        names = listed if isinstance(listed, list) else []
+        found = [class_id for class_id in names if class_id and isinstance(class_id, str)]
         if len(found) > MOST_CLASSES:
             raise ValueError(f'class_ids has {len(found)} classes, the maximum is {MOST_CLASSES}')
         return found
@@ -610,11 +612,13 @@ OBB_TO_HBB = ParameterTable(
 
 @dataclass(frozen=True)
 class ChipSettings:
-    """What one image is cut under: encoding, budget, and how long its parts may wait."""
+    """What one image is cut under: encoding, budget, how long its parts may wait, and the spool."""
 
     codec: CodecSettings
     budget: BudgetSettings
     pairing: PairingLimits
+    spool_path: str
+    spool_max_bytes: float
 
 
 def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
@@ -623,10 +627,30 @@ def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
         codec=_group(CodecSettings, values, ''),
         budget=_group(BudgetSettings, values, 'budget.'),
         pairing=PairingLimits(
-            (values['cache.images'], values['cache.regions']), values['cache.max_age']
+            (values['cache.images'], values['cache.regions']), values['cache.max_age'],
+            values['cache.slop'],
         ),
+        spool_path=values['spool.path'],
+        spool_max_bytes=values['spool.max_bytes'],
     )
 
+
+LINK = (
+    Parameter(
+        'budget.bytes_per_second', 0.0, 'Rate of the link, bytes per second (0: unlimited).',
+        0.0, _MOST_BYTES,
+    ),
+    Parameter(
+        'budget.burst', 0.0,
+        'Maximum bytes sent at once after a pause (0: one second at the rate of the link).',
+        0.0, _MOST_BYTES,
+    ),
+    Parameter(
+        'budget.overhead', 0, 'Bytes that each chip costs the link besides its file.',
+        0, 1_000_000,
+    ),
+)
+"""Parameters of the link, in every node that sends something over it."""
 
 CHIP_EXTRACTOR = ParameterTable(
     (
@@ -646,19 +670,7 @@ CHIP_EXTRACTOR = ParameterTable(
             'lossless', CodecSettings.lossless,
             'Lossless compression; for webp and jpeg2000. png always is lossless.',
         ),
-        Parameter(
-            'budget.bytes_per_second', 0.0, 'Rate of the link, bytes per second (0: unlimited).',
-            0.0, _MOST_BYTES,
-        ),
-        Parameter(
-            'budget.burst', 0.0,
-            'Maximum bytes sent at once after a pause (0: one second at the rate of the link).',
-            0.0, _MOST_BYTES,
-        ),
-        Parameter(
-            'budget.overhead', 0, 'Bytes that each chip costs the link besides its file.',
-            0, 1_000_000,
-        ),
+        *LINK,
         Parameter(
             'budget.max_chips', 0, 'Maximum chips per image (0: unlimited).', 0, 1_000_000
         ),
@@ -681,7 +693,96 @@ CHIP_EXTRACTOR = ParameterTable(
             'cache.max_age', 2.0,
             'How long images and crop plans wait for each other, seconds.', 0.0, 3600.0,
         ),
+        Parameter(
+            'cache.slop', 0.0,
+            'Maximum difference between the stamps of an image and its crop plan, seconds.',
+            0.0, 3600.0,
+        ),
+        Parameter(
+            'spool.path', '',
+            'Folder in which every planned chip is stored for the node downlink (empty: none).',
+            read_only=True,
+        ),
+        Parameter(
+            'spool.max_bytes', 1e9,
+            'Maximum size of the spool, bytes; the least valuable chips are evicted first '
+            '(0: unlimited).',
+            0.0, _MOST_BYTES,
+        ),
     ),
     _chip_settings,
 )
 """Parameters of the node `chip_extractor`."""
+
+
+@dataclass(frozen=True)
+class DownlinkSettings:
+    """Where chips are released from and to, and how."""
+
+    spool_path: str
+    outbox_path: str
+    always_in_contact: bool
+    release: ReleaseSettings
+
+
+def _downlink_settings(values: Mapping[str, Any]) -> DownlinkSettings:
+    """Make settings for `downlink`."""
+    for name in ('spool.path', 'outbox.path'):
+        if not values[name]:
+            raise ValueError(f'{name} is missing: name a folder')
+    levels = values['outbox.levels']
+    if any(math.isnan(level) for level in levels):
+        raise ValueError('outbox.levels must be numbers, not nan')
+    return DownlinkSettings(
+        spool_path=values['spool.path'],
+        outbox_path=values['outbox.path'],
+        always_in_contact=values['contact'] == 'always',
+        release=ReleaseSettings(
+            budget=BudgetSettings(
+                values['budget.bytes_per_second'], values['budget.burst'],
+                values['budget.overhead'],
+            ),
+            levels=tuple(levels),
+            removal=values['acknowledge'] == 'removal',
+            max_bytes=values['outbox.max_bytes'],
+        ),
+    )
+
+
+DOWNLINK = ParameterTable(
+    (
+        AUTOSTART,
+        LOCK,
+        HARDWARE_ID,
+        Parameter(
+            'spool.path', '', 'Folder in which chip_extractor stores the chips.', read_only=True
+        ),
+        Parameter(
+            'outbox.path', '', 'Folder from which the bus takes the chips.', read_only=True
+        ),
+        Parameter(
+            'contact', 'always',
+            'When chips are released: always, or while the topic `contact` says so.',
+            choices=('always', 'topic'),
+        ),
+        *LINK,
+        Parameter(
+            'acknowledge', 'release',
+            'When a chip counts as delivered: on its release into the outbox, or on its removal '
+            'from there.',
+            choices=('release', 'removal'),
+        ),
+        Parameter(
+            'outbox.levels', [0.0],
+            'Value thresholds of the priority folders: a chip goes into the folder with the number '
+            'of thresholds above its value, 0 for the most valuable.',
+        ),
+        Parameter(
+            'outbox.max_bytes', 0.0,
+            'Maximum bytes in the outbox; when it is full, chips wait in the spool (0: unlimited).',
+            0.0, _MOST_BYTES,
+        ),
+    ),
+    _downlink_settings,
+)
+"""Parameters of the node `downlink`."""

@@ -7,35 +7,15 @@ All times come from the caller, in seconds of a monotonic clock.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import replace
-from enum import Enum
-from typing import Any
-
-from numpy.typing import NDArray
 
 from obbhbb_ros.downlink import require_not_negative
+from obbhbb_ros.downlink.chips import Chip
 from obbhbb_ros.downlink.chips import CodecSettings
-from obbhbb_ros.downlink.chips import PixelFormat
-from obbhbb_ros.downlink.chips import Region
-from obbhbb_ros.downlink.chips import cut
+from obbhbb_ros.downlink.chips import Dropped
 from obbhbb_ros.downlink.chips import encode
-from obbhbb_ros.downlink.chips import placed
-
-
-class Dropped(str, Enum):
-    """Why a region of a frame was not sent."""
-
-    OUTSIDE = 'outside_image'
-    ENCODER = 'encoder_failed'
-    LINK_BUDGET = 'link_budget'
-    LARGER_THAN_BURST = 'larger_than_burst'
-    FRAME_CHIPS = 'frame_max_chips'
-    FRAME_BYTES = 'frame_max_bytes'
 
 
 @dataclass(frozen=True)
@@ -128,27 +108,9 @@ class TokenBucket:
         self._filled_at = now
 
 
-@dataclass(frozen=True)
-class Chip:
-    """An encoded chip and its region of the image."""
-
-    region: Region
-    data: bytes
-
-
-def chips_within_budget(
-    view: NDArray[Any],
-    layout: PixelFormat,
-    regions: Sequence[Region],
-    codec: CodecSettings,
-    budget: BudgetSettings,
-    bucket: TokenBucket,
-    clock: Callable[[], float],
-    dropped: Counter[str],
-    on_failure: Callable[[Region, Exception], None],
-) -> Iterator[Chip]:
+class FrameBudget:
     """
-    Encode the chips of a frame that fit the budget; send each before requesting the next.
+    What the link lets through of the chips of one frame.
 
     The first chip that the link cannot carry yet ends the frame: less valuable chips are not sent
     in its place, so that the link is free for the most valuable chip of the next frame. Only a
@@ -156,71 +118,80 @@ def chips_within_budget(
 
     Parameters
     ----------
-    view, layout : ndarray of shape (height, width, channels), PixelFormat
-        The image.
-    regions : sequence of tuple of int
-        The crop plan, most valuable first.
-    codec, budget, bucket : CodecSettings, BudgetSettings, TokenBucket
-        Encoding, limits, and the rate limiter of the link, shared by all frames.
+    budget : BudgetSettings
+        The limits.
+    bucket : TokenBucket
+        Rate limiter of the link, shared by all frames.
+    codec : CodecSettings
+        How chips are encoded.
     clock : callable
         Returns the time in seconds.
-    dropped : Counter
-        Counts by `Dropped` every region that is not sent.
-    on_failure : callable
-        Called with region and error if the encoder fails.
 
-    Yields
-    ------
-    Chip
-        Already subtracted from the budget.
+    Attributes
+    ----------
+    ended_by : Dropped or None
+        Why no further chip of the frame is sent.
     """
-    bytes_left = budget.max_bytes or float('inf')
-    sent = 0
-    image_size = view.shape[1], view.shape[0]
-    for index, planned in enumerate(regions):
-        region = placed(planned, image_size, layout)
-        if region is None:
-            dropped[Dropped.OUTSIDE.value] += 1
-            continue
-        if budget.max_chips and sent == budget.max_chips:
-            dropped[Dropped.FRAME_CHIPS.value] += len(regions) - index
-            return
-        pixels = cut(view, region, layout)
-        room = min(bytes_left, bucket.available(clock())) - budget.overhead
+
+    def __init__(
+        self,
+        budget: BudgetSettings,
+        bucket: TokenBucket,
+        codec: CodecSettings,
+        clock: Callable[[], float],
+    ) -> None:
+        self._budget, self._bucket, self._codec, self._clock = budget, bucket, codec, clock
+        self._bytes_left = budget.max_bytes or float('inf')
+        self._chips_left = budget.max_chips or float('inf')
+        self.ended_by: Dropped | None = None
+
+    def admit(self, chip: Chip) -> bytes | Dropped:
+        """
+        Subtract a chip from the budget.
+
+        Parameters
+        ----------
+        chip : Chip
+            The next chip of the frame, in descending value.
+
+        Returns
+        -------
+        bytes or Dropped
+            The file to send now, which may be one of lower quality, or why there is none.
+        """
+        if self.ended_by is not None:
+            return self.ended_by
+        overhead = self._budget.overhead
+        room = min(self._bytes_left, self._bucket.available(self._clock())) - overhead
         try:
-            data = _encode_to_fit(pixels, room, codec, budget.min_quality)
-        except (ValueError, OSError, MemoryError) as error:
-            # Each format has a maximum size.
-            dropped[Dropped.ENCODER.value] += 1
-            on_failure(region, error)
-            continue
-        cost = len(data) + budget.overhead
-        if cost > bucket.burst:
-            dropped[Dropped.LARGER_THAN_BURST.value] += 1
-        elif 0 < budget.max_bytes < cost:
-            dropped[Dropped.FRAME_BYTES.value] += 1
-        elif cost > bytes_left:
-            dropped[Dropped.FRAME_BYTES.value] += len(regions) - index
-            return
-        elif cost > bucket.available(now := clock()):
-            dropped[Dropped.LINK_BUDGET.value] += len(regions) - index
-            return
-        else:
-            bucket.spend(cost, now)
-            bytes_left -= cost
-            sent += 1
-            yield Chip(region, data)
-
-
-def _encode_to_fit(
-    pixels: NDArray[Any], room: float, codec: CodecSettings, min_quality: int
-) -> bytes:
-    """Encode; if the result is too large, try the lowest quality and the one halfway to it."""
-    data = encode(pixels, codec)
-    if len(data) <= room or codec.exact or not 0 < min_quality < codec.quality:
+            data = _encode_to_fit(chip, room, self._codec, self._budget.min_quality)
+        except (ValueError, OSError, MemoryError):
+            return Dropped.ENCODER
+        cost = len(data) + overhead
+        if cost > self._bucket.burst:
+            return Dropped.LARGER_THAN_BURST
+        if 0 < self._budget.max_bytes < cost:
+            return Dropped.FRAME_BYTES
+        if cost > self._bytes_left:
+            self.ended_by = Dropped.FRAME_BYTES
+        elif cost > self._bucket.available(now := self._clock()):
+            self.ended_by = Dropped.LINK_BUDGET
+        if self.ended_by is not None:
+            return self.ended_by
+        self._bucket.spend(cost, now)
+        self._bytes_left -= cost
+        self._chips_left -= 1
+        if not self._chips_left:
+            self.ended_by = Dropped.FRAME_CHIPS
         return data
-    lowest = encode(pixels, replace(codec, quality=min_quality))
+
+
+def _encode_to_fit(chip: Chip, room: float, codec: CodecSettings, min_quality: int) -> bytes:
+    """If a chip is too large, encode at the lowest quality, and halfway to it where that fits."""
+    if len(chip.data) <= room or codec.exact or not 0 < min_quality < codec.quality:
+        return chip.data
+    lowest = encode(chip.pixels, replace(codec, quality=min_quality))
     if len(lowest) > room:
         return lowest
-    halfway = encode(pixels, replace(codec, quality=(min_quality + codec.quality) // 2))
+    halfway = encode(chip.pixels, replace(codec, quality=(min_quality + codec.quality) // 2))
     return halfway if len(halfway) <= room else lowest

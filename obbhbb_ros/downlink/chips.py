@@ -9,7 +9,11 @@ extra `chips`.
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
+from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -19,6 +23,17 @@ from obbhbb_ros.wire.image import WireImage
 
 Region = tuple[int, int, int, int]
 """x0, y0, x1, y1 in whole pixels, upper ends exclusive."""
+
+
+class Dropped(str, Enum):
+    """Why a region of a frame became no chip, or the chip was not sent."""
+
+    OUTSIDE = 'outside_image'
+    ENCODER = 'encoder_failed'
+    LINK_BUDGET = 'link_budget'
+    LARGER_THAN_BURST = 'larger_than_burst'
+    FRAME_CHIPS = 'frame_max_chips'
+    FRAME_BYTES = 'frame_max_bytes'
 
 
 class ChipError(ValueError):
@@ -67,9 +82,10 @@ PIXEL_FORMATS: dict[str, PixelFormat] = {
 
 @dataclass(frozen=True)
 class Codec:
-    """What a file format supports: bits per channel, channels, lossless and lossy encoding."""
+    """A file format: suffix, and what it supports: bits per channel, channels, lossless, lossy."""
 
     name: str
+    suffix: str
     depths: tuple[int, ...]
     channels: tuple[int, ...]
     lossless: bool
@@ -79,10 +95,10 @@ class Codec:
 CODECS: dict[str, Codec] = {
     codec.name: codec
     for codec in (
-        Codec('jpeg', (8,), (1, 3), lossless=False, lossy=True),
-        Codec('png', (8, 16), (1, 3, 4), lossless=True, lossy=False),
-        Codec('webp', (8,), (3, 4), lossless=True, lossy=True),
-        Codec('jpeg2000', (8, 16), (1, 3, 4), lossless=True, lossy=True),
+        Codec('jpeg', 'jpg', (8,), (1, 3), lossless=False, lossy=True),
+        Codec('png', 'png', (8, 16), (1, 3, 4), lossless=True, lossy=False),
+        Codec('webp', 'webp', (8,), (3, 4), lossless=True, lossy=True),
+        Codec('jpeg2000', 'jp2', (8, 16), (1, 3, 4), lossless=True, lossy=True),
     )
 }
 
@@ -243,6 +259,57 @@ def _pillow_options(settings: CodecSettings) -> dict[str, Any]:
         # `exact` also keeps the colours where alpha is 0.
         return {'quality': settings.quality, 'lossless': settings.lossless, 'exact': True}
     return {'quality': settings.quality}
+
+
+@dataclass(frozen=True)
+class Chip:
+    """A region of a frame: its place in the plan, its place in the image, pixels and file."""
+
+    index: int
+    region: Region
+    pixels: NDArray[Any]
+    data: bytes
+
+
+def chips_of(
+    view: NDArray[Any],
+    layout: PixelFormat,
+    regions: Sequence[Region],
+    codec: CodecSettings,
+    on_drop: Callable[[Dropped, Region, Exception | None], None],
+) -> Iterator[Chip]:
+    """
+    Cut and encode the regions of a frame, one after the other.
+
+    Parameters
+    ----------
+    view, layout : ndarray of shape (height, width, channels), PixelFormat
+        The image.
+    regions : sequence of tuple of int
+        The crop plan.
+    codec : CodecSettings
+        How chips are encoded.
+    on_drop : callable
+        Called with reason, region and the encoder's error for a region that becomes no chip.
+
+    Yields
+    ------
+    Chip
+        In the order of the plan.
+    """
+    for index, planned in enumerate(regions):
+        region = placed(planned, (view.shape[1], view.shape[0]), layout)
+        if region is None:
+            on_drop(Dropped.OUTSIDE, planned, None)
+            continue
+        pixels = cut(view, region, layout)
+        try:
+            data = encode(pixels, codec)
+        except (ValueError, OSError, MemoryError) as error:
+            # Each format has a maximum size.
+            on_drop(Dropped.ENCODER, region, error)
+            continue
+        yield Chip(index, region, pixels, data)
 
 
 def format_text(encoding: str, codec: str) -> str:

@@ -123,6 +123,8 @@ class CropPlan:
         first. Without merging one per region.
     offsets : ndarray of int, shape (M + 1,)
         Region i contains the boxes `sources[offsets[i]:offsets[i + 1]]`.
+    values : ndarray, shape (M,)
+        Value of each region, -inf where no box of it has a score.
     left_out : dict of LeftOut to int
         Number of boxes without a region, by reason.
     """
@@ -130,6 +132,7 @@ class CropPlan:
     regions: NDArray[np.int64]
     sources: NDArray[np.intp]
     offsets: NDArray[np.intp]
+    values: FloatArray
     left_out: dict[LeftOut, int]
 
     @property
@@ -215,19 +218,19 @@ def plan_crops(
     # fmax replaces NaN.
     values = np.fmax(scores[rows] if weights is None else scores[rows] * weights[rows], -np.inf)
     order = _by_value(values, corners, boxes)
-    rows, corners = rows[order], corners[:, order]
+    rows, corners, values = rows[order], corners[:, order], values[order]
     offsets = np.arange(len(rows) + 1)
     if settings.merge_max_size and len(rows) > 1:
-        corners, rows, offsets = _merged(corners, values[order], rows, image_size, settings)
+        corners, rows, offsets, values = _merged(corners, values, rows, image_size, settings)
     too_many = 0 < settings.max_count < corners.shape[1]
     if too_many or 0 < settings.max_pixels < _pixels(corners).sum():
         sizes = np.diff(offsets)
         kept, over = _within_limits(corners, sizes, settings)
         left_out |= over
-        rows, corners = rows[np.repeat(kept, sizes)], corners[:, kept]
+        rows, corners, values = rows[np.repeat(kept, sizes)], corners[:, kept], values[kept]
         offsets = _offsets(sizes[kept])
     left_out = {reason: count for reason, count in left_out.items() if count}
-    return CropPlan(corners.T, rows, offsets, left_out)
+    return CropPlan(corners.T, rows, offsets, values, left_out)
 
 
 def _filtered(
@@ -260,8 +263,8 @@ def _merged(
     rows: NDArray[np.intp],
     image_size: tuple[int, int],
     settings: CropSettings,
-) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.intp]]:
-    """Merge regions in descending value; return corners, sources and offsets of the plan."""
+) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.intp], FloatArray]:
+    """Merge regions in descending value; return corners, sources, offsets, values of the plan."""
     bounds = np.array(image_size, dtype=np.float64)[:, None]
 
     def fit(low: Pixels, high: Pixels) -> tuple[Pixels, Pixels]:
@@ -274,15 +277,16 @@ def _merged(
     )
     groups = merged.shape[1]
     if groups == len(rows):
-        return corners, rows, np.arange(groups + 1)
+        return corners, rows, np.arange(groups + 1), values
     # A box without a score counts only if its whole region has none.
     known = values > -np.inf
     counts = np.bincount(group_of[known], minlength=groups)
     sums = np.bincount(group_of[known], values[known], groups)
-    order = _by_value(np.where(counts > 0, sums, -np.inf), merged)
+    totals: FloatArray = np.where(counts > 0, sums, -np.inf)
+    order = _by_value(totals, merged)
     rank = np.argsort(order)[group_of]
     members = np.argsort(rank, kind='stable')
-    return merged[:, order], rows[members], _offsets(np.bincount(rank))
+    return merged[:, order], rows[members], _offsets(np.bincount(rank)), totals[order]
 
 
 def _within_limits(

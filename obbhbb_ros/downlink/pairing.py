@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs two kinds of items by exact stamp, in bounded memory and in any order of arrival."""
+"""Pairs two kinds of items by stamp, in bounded memory and in any order of arrival."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
-from typing import TypeAlias
 
-Stamp: TypeAlias = tuple[int, int]
-"""Seconds and nanoseconds."""
+from obbhbb_ros.downlink.stamps import Stamp
 
 _PAIRED_REMEMBERED = 1000
 
@@ -37,15 +36,18 @@ class PairingLimits:
         Maximum number of waiting items of kinds 0 and 1; the oldest is discarded first.
     max_age : float
         Seconds from the arrival of an item.
+    slop : float
+        Maximum difference between the stamps of a pair, seconds (0: stamps are equal).
     """
 
     capacity: tuple[int, int]
     max_age: float
+    slop: float = 0.0
 
 
 class Pairing:
     """
-    A cache of two kinds of items, 0 and 1, that are paired by exact stamp.
+    A cache of two kinds of items, 0 and 1, that are paired by stamp.
 
     Parameters
     ----------
@@ -75,7 +77,7 @@ class Pairing:
         self._waiting: tuple[OrderedDict[Stamp, tuple[float, Any]], ...] = (
             OrderedDict(), OrderedDict()
         )
-        self._paired: OrderedDict[Stamp, float] = OrderedDict()
+        self._paired: tuple[OrderedDict[Stamp, float], ...] = (OrderedDict(), OrderedDict())
 
     def waiting(self, kind: int) -> list[Any]:
         """List the items of a kind that wait for a partner, the oldest first."""
@@ -87,8 +89,9 @@ class Pairing:
         """
         Add an item of kind 0 or 1 at `now`, seconds of a monotonic clock.
 
-        Returns the items of kinds 0 and 1 with this stamp, if both are there. A zero stamp means no
-        stamp and is never paired.
+        Returns the items of kinds 0 and 1 if there is a partner: the waiting item of the same
+        stamp, or else the one with the nearest stamp within the slop, the earlier of two. A zero
+        stamp means no stamp and is never paired.
         """
         self.expire(now, limits)
         if stamp == (0, 0):
@@ -97,18 +100,18 @@ class Pairing:
         if stamp < self._latest[kind]:
             self._on_jump_back(kind, self._latest[kind], stamp)
             # The same stamps come again and must be paired again.
-            self._paired.clear()
+            for paired in self._paired:
+                paired.clear()
         self._latest[kind] = stamp
         mine, others = self._waiting[kind], self._waiting[1 - kind]
-        if stamp in self._paired:
+        if stamp in self._paired[kind]:
             self._on_unpaired(kind, Unpaired.DUPLICATE, item)
             return None
-        if stamp in others:
-            _, other = others.pop(stamp)
-            # A duplicate of either item may still arrive.
-            self._paired[stamp] = now
-            if len(self._paired) > _PAIRED_REMEMBERED:
-                self._paired.popitem(last=False)
+        partner = _nearest(stamp, others, limits.slop)
+        if partner is not None:
+            _, other = others.pop(partner)
+            self._remember(kind, stamp, now)
+            self._remember(1 - kind, partner, now)
             return (item, other) if kind == 0 else (other, item)
         if stamp in mine:
             self._on_unpaired(kind, Unpaired.DUPLICATE, mine.pop(stamp)[1])
@@ -122,8 +125,9 @@ class Pairing:
         for kind, waiting in enumerate(self._waiting):
             while waiting and now - next(iter(waiting.values()))[0] > limits.max_age:
                 self._discard_oldest(kind, Unpaired.EXPIRED)
-        while self._paired and now - next(iter(self._paired.values())) > limits.max_age:
-            self._paired.popitem(last=False)
+        for paired in self._paired:
+            while paired and now - next(iter(paired.values())) > limits.max_age:
+                paired.popitem(last=False)
 
     def clear(self) -> None:
         """Discard all items; the next stamp of either kind is not a jump back."""
@@ -132,7 +136,30 @@ class Pairing:
             while waiting:
                 self._discard_oldest(kind, Unpaired.CLEARED)
 
+    def _remember(self, kind: int, stamp: Stamp, now: float) -> None:
+        """Remember that a stamp was paired: a duplicate of its item may still arrive."""
+        paired = self._paired[kind]
+        paired[stamp] = now
+        if len(paired) > _PAIRED_REMEMBERED:
+            paired.popitem(last=False)
+
     def _discard_oldest(self, kind: int, reason: Unpaired) -> None:
         """Discard the oldest item of a kind."""
         _, (_, item) = self._waiting[kind].popitem(last=False)
         self._on_unpaired(kind, reason, item)
+
+
+def _nearest(stamp: Stamp, waiting: Mapping[Stamp, Any], slop: float) -> Stamp | None:
+    """Find the waiting stamp that is nearest to a stamp, at most `slop` seconds away."""
+    if stamp in waiting:
+        return stamp
+    if not slop or not waiting:
+        return None
+    distance = {other: abs(_nanoseconds(other) - _nanoseconds(stamp)) for other in waiting}
+    nearest = min(waiting, key=lambda other: (distance[other], other))
+    return nearest if distance[nearest] <= round(slop * 1e9) else None
+
+
+def _nanoseconds(stamp: Stamp) -> int:
+    """Return a stamp as a number."""
+    return stamp[0] * 1_000_000_000 + stamp[1]

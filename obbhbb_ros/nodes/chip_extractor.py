@@ -1,12 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chip node: an image and its crop regions in, encoded chips within the link's budget out."""
+"""The chip node: images and crop regions in, encoded chips to the link and to the spool out."""
 
 from __future__ import annotations
 
 import time
 from array import array
 from collections import Counter
+from collections import OrderedDict
+from collections import deque
+from collections.abc import Iterator
+from collections.abc import Mapping
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -14,31 +21,42 @@ from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import CompressedImage
 from sensor_msgs.msg import Image
-from sensor_msgs.msg import RegionOfInterest
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.downlink.budget import Chip
-from obbhbb_ros.downlink.budget import Dropped
+from obbhbb_ros.downlink.budget import FrameBudget
 from obbhbb_ros.downlink.budget import TokenBucket
-from obbhbb_ros.downlink.budget import chips_within_budget
+from obbhbb_ros.downlink.catalogue import SpoolError
+from obbhbb_ros.downlink.chips import Chip
 from obbhbb_ros.downlink.chips import ChipError
+from obbhbb_ros.downlink.chips import Dropped
 from obbhbb_ros.downlink.chips import Region
+from obbhbb_ros.downlink.chips import chips_of
 from obbhbb_ros.downlink.chips import format_text
 from obbhbb_ros.downlink.chips import pixel_format
 from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.downlink.pairing import Pairing
-from obbhbb_ros.downlink.pairing import Stamp
 from obbhbb_ros.downlink.pairing import Unpaired
+from obbhbb_ros.downlink.records import Recorder
+from obbhbb_ros.downlink.spool import Frame
+from obbhbb_ros.downlink.spool import NewChip
+from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.downlink.stamps import ChipStamps
+from obbhbb_ros.downlink.stamps import Stamp
+from obbhbb_ros.nodes.camera import Camera
+from obbhbb_ros.nodes.camera import region_of_interest
 from obbhbb_ros.nodes.managed import ManagedNode
+from obbhbb_ros.nodes.spool_report import facts_of
 from obbhbb_ros.settings import CHIP_EXTRACTOR
 from obbhbb_ros.settings import IMAGES_KEPT
 from obbhbb_ros.settings import PLANS_KEPT
 from obbhbb_ros.settings import ChipSettings
 from obbhbb_ros.wire.cdr import WireError
-from obbhbb_ros.wire.detections import read_regions
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image import read_image
+from obbhbb_ros.wire.plans import Plan
+from obbhbb_ros.wire.plans import Source
+from obbhbb_ros.wire.plans import read_sources
 
 _CHIPS_KEPT = 1000
 _IMAGE, _REGIONS = 0, 1
@@ -56,12 +74,25 @@ _LOST_FOR_GOOD = {
 _MISTAKES = (Unpaired.DUPLICATE, Unpaired.ZERO_STAMP)
 
 
+@dataclass(frozen=True)
+class PlannedFrame:
+    """A crop plan, and its place in the books of the spool if there is one."""
+
+    plan: Plan
+    frame: Frame | None
+
+    def __len__(self) -> int:
+        """Count the regions."""
+        return len(self.plan)
+
+
 class ChipExtractor(ManagedNode[ChipSettings]):
     """
     Managed node `chip_extractor`.
 
-    Subscribes to `image` and `crop_regions`, publishes `chip/compressed`, `chip/camera_info` and
-    `/diagnostics`. Topics and parameters: `doc/chip_extractor.md`.
+    Subscribes to `image`, `crop_regions` and `camera_info`, and with a spool to `crop_sources`;
+    publishes `chip/compressed`, `chip/camera_info`, `chip/detections` and `/diagnostics`. Topics
+    and parameters: `doc/chip_extractor.md`.
 
     Parameters
     ----------
@@ -85,6 +116,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._budget = self._parameters_in_force.settings.budget
         # The link does not forget what was sent because the node was switched off and on.
         self._bucket = TokenBucket(self._budget, time.monotonic())
+        self._stamps = ChipStamps()
+        self._spool: Spool | None = None
         self._autostart()
 
     def _create_topics(self) -> None:
@@ -96,32 +129,55 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         # queue before its last piece is sent.
         self._chips = self._output(CompressedImage, 'chip/compressed', _CHIPS_KEPT)
         self._places = self._output(CameraInfo, 'chip/camera_info', _CHIPS_KEPT)
+        self._identities = self._output(Detection2DArray, 'chip/detections', _CHIPS_KEPT)
+        self._camera = Camera()
+        self._sources: OrderedDict[Stamp, list[Source]] = OrderedDict()
+        # Before the images and plans that they belong to.
+        self._camera_in = self._input(CameraInfo, 'camera_info', self._on_camera_info)
+        path = self._parameters_in_force.settings.spool_path
+        self._spool = Spool(Path(path), self._warn_of_spool, 'writer') if path else None
+        plans = {'reliability': ReliabilityPolicy.RELIABLE, 'depth': PLANS_KEPT}
+        if self._spool is not None:
+            self._sources_in = self._input(
+                Detection2DArray, 'crop_sources', self._on_sources, **plans
+            )
         # A large image travels in many pieces; one that is lost unnoticed would cost all of it. Its
         # pieces fill the middleware's buffers, which would cost the plan beside it.
-        self._images_in, self._regions_in = (
-            self._input(
-                kind, topic, callback, reliability=ReliabilityPolicy.RELIABLE, depth=depth
-            )
-            for kind, topic, callback, depth in (
-                (Image, 'image', self._on_image, IMAGES_KEPT),
-                (Detection2DArray, 'crop_regions', self._on_regions, PLANS_KEPT),
-            )
+        self._images_in = self._input(
+            Image, 'image', self._on_image,
+            reliability=ReliabilityPolicy.RELIABLE, depth=IMAGES_KEPT,
+        )
+        self._regions_in = self._input(
+            Detection2DArray, 'crop_regions', self._on_regions, **plans
         )
 
     def _forget(self) -> None:
         """Drop the images and plans that wait for each other."""
         self._pairing.clear()
 
+    def _release(self) -> None:
+        """Destroy topics and close the spool."""
+        super()._release()
+        if self._spool is not None:
+            self._spool.close()
+            self._spool = None
+
     def _facts(self) -> dict[str, str]:
-        """Report what is waiting, and the bytes that the link has left."""
+        """Report what is waiting, the bytes that the link has left, and the books of the spool."""
         settings = self._settings()
         self._pairing.expire(time.monotonic(), settings.pairing)
         waiting = self._pairing.waiting(_REGIONS)
-        return {
+        facts = {
             'chips_waiting': str(sum(map(len, waiting))),
             'images_waiting': str(len(self._pairing.waiting(_IMAGE))),
             'budget_available': f'{self._bucket.available(time.monotonic()):.0f}',
         }
+        if self._spool is not None:
+            try:
+                facts.update(facts_of(self._spool.status()))
+            except SpoolError as error:
+                self._warn_of_spool(str(error))
+        return facts
 
     def _settings(self) -> ChipSettings:
         """Return the settings in force, and update the budget of the link."""
@@ -130,6 +186,24 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._bucket.change(settings.budget, time.monotonic())
             self._budget = settings.budget
         return settings
+
+    def _on_camera_info(self, data: bytes) -> None:
+        """Learn what the camera is."""
+        try:
+            self._camera.see(data)
+        except WireError as error:
+            self._drop_unreadable(data, self._camera_in, error)
+
+    def _on_sources(self, data: bytes) -> None:
+        """Keep where the regions of a plan come from until the plan is cut."""
+        try:
+            stamp, sources = read_sources(data)
+        except WireError as error:
+            self._drop_unreadable(data, self._sources_in, error)
+            return
+        self._sources[stamp] = sources
+        while len(self._sources) > PLANS_KEPT:
+            self._sources.popitem(last=False)
 
     def _on_image(self, data: bytes) -> None:
         """Keep an image for its regions, or cut it if they are there."""
@@ -151,14 +225,15 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._monitor.add('messages_while_inactive')
             return
         try:
-            stamp, regions = read_regions(data)
+            plan = Plan(data)
         except WireError as error:
             self._drop_unreadable(data, self._regions_in, error)
             return
-        self._monitor.add('chips_planned', len(regions))
-        self._pair(_REGIONS, stamp, regions)
+        self._monitor.add('chips_planned', len(plan))
+        frame = self._spool.plan(len(plan)) if self._spool is not None and len(plan) else None
+        self._pair(_REGIONS, plan.stamp, PlannedFrame(plan, frame))
 
-    def _pair(self, kind: int, stamp: tuple[int, int], item: Any) -> None:
+    def _pair(self, kind: int, stamp: Stamp, item: Any) -> None:
         """Find the partner of a message; cut the frame that the two make."""
         started = time.perf_counter()
         settings = self._settings()
@@ -172,8 +247,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._monitor.add(f'{_KINDS[kind]}_dropped.{reason.value}')
         if kind == _REGIONS:
             self._drop(f'crop_plan_{reason.value}', len(item))
+            self._store(item, [], {f'crop_plan_{reason.value}': len(item)})
         # An image without a plan is no loss: a detector may look at every third one only.
-        if reason in _MISTAKES or (kind == _REGIONS and item and reason in _REMEDIES):
+        if reason in _MISTAKES or (kind == _REGIONS and len(item) and reason in _REMEDIES):
             self._warn(
                 f'{_KINDS[kind]} {reason.value}',
                 f'dropped a message on {self._topic(kind)}: {_REMEDIES[reason]}',
@@ -199,66 +275,157 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         if count:
             self._monitor.add(f'chips_dropped.{reason}', count)
 
-    def _cut(self, image: WireImage, regions: Sequence[Region], settings: ChipSettings) -> None:
-        """Cut one frame and publish what the budget allows."""
+    def _cut(self, image: WireImage, planned: PlannedFrame, settings: ChipSettings) -> None:
+        """Cut one frame; publish what the budget allows, and store all of it in the spool."""
         self._monitor.add('frames_paired')
-        if not (self._chips.get_subscription_count() or self._places.get_subscription_count()):
-            self._drop('no_subscriber', len(regions))
-            return
+        outputs = self._chips, self._places, self._identities
+        wanted = any(each.get_subscription_count() for each in outputs)
+        if not wanted:
+            self._drop('no_subscriber', len(planned))
+            if planned.frame is None:
+                return
         try:
             layout = pixel_format(image.encoding, settings.codec.codec)
             view = view_of(image)
         except ChipError as error:
-            self._drop('image_refused', len(regions))
-            self._warn(
-                'image refused',
-                f'no chips of the image on {self._images_in.topic_name} at stamp '
-                f'{_seconds(image.stamp)}: {error}'
-            )
+            self._refuse(image, planned, wanted, error)
             return
-        def warn_of_failure(region: Region, error: Exception) -> None:
-            x0, y0, x1, y1 = region
-            self._warn(
-                'encoder failure',
-                f'{settings.codec.codec} cannot hold the chip of {x1 - x0} x {y1 - y0} pixels at '
-                f'({x0}, {y0}), stamp {_seconds(image.stamp)}: {error}; see crop.max_size',
-            )
+        refused: Counter[str] = Counter()
 
-        dropped: Counter[str] = Counter()
-        chips = chips_within_budget(
-            view, layout, regions, settings.codec, settings.budget, self._bucket,
-            time.monotonic, dropped, warn_of_failure,
-        )
+        def on_drop(reason: Dropped, region: Region, error: Exception | None) -> None:
+            refused[reason.value] += 1
+            if error is not None:
+                self._warn_of_failure(image, settings, region, error)
+
+        chips = chips_of(view, layout, planned.plan.regions, settings.codec, on_drop)
+        if planned.frame is not None:
+            records: list[NewChip] = []
+            chips = self._recorded(chips, records, image, planned.plan, settings)
+        if wanted:
+            self._send(chips, image, planned, settings, refused)
+        # What was not sent is made for the spool all the same.
+        if planned.frame is not None:
+            deque(chips, maxlen=0)
+            self._store(planned, records, refused)
+
+    def _recorded(
+        self,
+        chips: Iterator[Chip],
+        records: list[NewChip],
+        image: WireImage,
+        plan: Plan,
+        settings: ChipSettings,
+    ) -> Iterator[Chip]:
+        """Pass chips on, and add their records for the spool to a list."""
+        sources = self._sources.pop(plan.stamp, [])
+        if len(sources) != len(plan):
+            self._monitor.add('plans_without_sources')
+            sources = []
+        camera = self._camera.info_for(image).k.tolist()
+        recorder = Recorder(image, plan, sources, settings.codec.codec, camera)
         for chip in chips:
-            self._publish(chip, image, settings.codec.codec)
-            self._monitor.add('chips_sent')
-            self._monitor.add('bytes_sent', len(chip.data) + settings.budget.overhead)
+            records.append(recorder.record(chip))
+            yield chip
+
+    def _send(
+        self,
+        chips: Iterator[Chip],
+        image: WireImage,
+        planned: PlannedFrame,
+        settings: ChipSettings,
+        refused: Counter[str],
+    ) -> None:
+        """Publish chips until the budget ends the frame; count the others."""
+        frame = FrameBudget(settings.budget, self._bucket, settings.codec, time.monotonic)
+        format_of_file = format_text(image.encoding, settings.codec.codec)
+        info, stamps = self._camera.info_for(image), self._stamps.of_image(image.stamp)
+        dropped: Counter[str] = Counter()
+        sent = 0
+        for chip in chips:
+            admitted = frame.admit(chip)
+            if isinstance(admitted, Dropped):
+                dropped[admitted.value] += 1
+            else:
+                self._publish(chip, admitted, format_of_file, image, planned.plan, info,
+                              next(stamps))
+                self._monitor.add('bytes_sent', len(admitted) + settings.budget.overhead)
+                sent += 1
+            if frame.ended_by is not None:
+                break
+        self._monitor.add('chips_sent', sent)
+        dropped.update(refused)
+        if frame.ended_by is not None:
+            dropped[frame.ended_by.value] += len(planned) - sent - dropped.total()
         for reason, count in dropped.items():
             self._drop(reason, count)
             if reason in _LOST_FOR_GOOD:
                 self._warn(
                     reason,
-                    f'dropped {count} of {len(regions)} chips at stamp {_seconds(image.stamp)}: '
+                    f'dropped {count} of {len(planned)} chips at stamp {_seconds(image.stamp)}: '
                     f'{_LOST_FOR_GOOD[reason]}',
                 )
 
-    def _publish(self, chip: Chip, image: WireImage, codec: str) -> None:
-        """Publish a chip and its place."""
-        seconds, nanoseconds = image.stamp
+    def _publish(
+        self,
+        chip: Chip,
+        data: bytes,
+        format_of_file: str,
+        image: WireImage,
+        plan: Plan,
+        info: Any,
+        stamp: Stamp,
+    ) -> None:
+        """Publish a chip, its place and its identity, with a stamp that no other chip has."""
+        seconds, nanoseconds = stamp
         header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=image.frame_id)
-        x0, y0, x1, y1 = chip.region
-        roi = RegionOfInterest(
-            x_offset=x0, y_offset=y0, width=x1 - x0, height=y1 - y0, do_rectify=False
-        )
-        self._places.publish(
-            CameraInfo(header=header, width=image.width, height=image.height, roi=roi)
-        )
+        self._identities.publish(plan.alone(chip.index, stamp, image.stamp, image.frame_id))
+        place = copy(info)
+        place.header, place.roi = header, region_of_interest(info, chip.region)
+        self._places.publish(place)
         self._chips.publish(
-            CompressedImage(
-                header=header, format=format_text(image.encoding, codec),
-                data=array('B', chip.data),
-            )
+            CompressedImage(header=header, format=format_of_file, data=array('B', data))
         )
+
+    def _store(
+        self, planned: PlannedFrame, records: Sequence[NewChip], refused: Mapping[str, int]
+    ) -> None:
+        """Store the chips of a frame, if there is a spool."""
+        if self._spool is None or planned.frame is None:
+            return
+        most = self._parameters_in_force.settings.spool_max_bytes
+        if self._spool.store(planned.frame, records, refused, most):
+            self._monitor.add('chips_stored', len(records))
+        else:
+            self._monitor.add('chips_not_stored', len(records))
+
+    def _refuse(
+        self, image: WireImage, planned: PlannedFrame, wanted: bool, error: ChipError
+    ) -> None:
+        """Count and report an image that cannot be cut."""
+        if wanted:
+            self._drop('image_refused', len(planned))
+        self._store(planned, [], {'image_refused': len(planned)})
+        self._warn(
+            'image refused',
+            f'no chips of the image on {self._images_in.topic_name} at stamp '
+            f'{_seconds(image.stamp)}: {error}'
+        )
+
+    def _warn_of_failure(
+        self, image: WireImage, settings: ChipSettings, region: Region, error: Exception
+    ) -> None:
+        """Report a chip that its format cannot hold."""
+        x0, y0, x1, y1 = region
+        self._warn(
+            'encoder failure',
+            f'{settings.codec.codec} cannot hold the chip of {x1 - x0} x {y1 - y0} pixels at '
+            f'({x0}, {y0}), stamp {_seconds(image.stamp)}: {error}; see crop.max_size',
+        )
+
+    def _warn_of_spool(self, text: str) -> None:
+        """Report trouble with the spool."""
+        self._monitor.add('spool_troubles')
+        self._warn('spool', f'spool: {text}')
 
 
 def _seconds(stamp: Stamp) -> str:

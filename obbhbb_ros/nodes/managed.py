@@ -18,6 +18,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.lifecycle import LifecycleState
 from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -189,13 +190,14 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         callback: Callable[[bytes], None],
         reliability: ReliabilityPolicy = ReliabilityPolicy.BEST_EFFORT,
         depth: int = _DEPTH,
+        durability: DurabilityPolicy = DurabilityPolicy.VOLATILE,
     ) -> Any:
         """Subscribe to the bytes of messages, by default from publishers of any reliability."""
         subscription: Any = self.create_subscription(
             message_type,
             topic,
             callback,
-            QoSProfile(depth=depth, reliability=reliability),
+            QoSProfile(depth=depth, reliability=reliability, durability=durability),
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(
                 message_lost=lambda status: self._on_message_lost(subscription, status)
@@ -257,7 +259,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
 
     def _silent_for(self, values: Mapping[str, Any]) -> float:
         """Return the seconds without input if that is too long, else 0; log when it begins."""
-        silence, timeout = self._monitor.silence(), values[INPUT_TIMEOUT.name]
+        silence, timeout = self._monitor.silence(), values.get(INPUT_TIMEOUT.name, 0.0)
         is_silent = bool(self._active and timeout and silence > timeout)
         if is_silent != self._is_silent:
             self._is_silent = is_silent

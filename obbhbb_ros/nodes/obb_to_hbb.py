@@ -23,8 +23,8 @@ class ObbToHbb(ManagedNode[Settings]):
     """
     Managed node `obb_to_hbb`.
 
-    Subscribes to oriented detections and to `camera_info`, publishes `boxes`, `crop_regions` and
-    `/diagnostics`. Topics and parameters: `doc/obb_to_hbb.md`.
+    Subscribes to oriented detections and to `camera_info`, publishes `boxes`, `crop_regions`,
+    `crop_sources` and `/diagnostics`. Topics and parameters: `doc/obb_to_hbb.md`.
 
     Parameters
     ----------
@@ -51,6 +51,7 @@ class ObbToHbb(ManagedNode[Settings]):
         self._input_type = INPUT_TYPES[self.get_parameter('input_type').value]
         self._boxes = self._output(Detection2DArray, 'boxes')
         self._crop_regions = self._output(Detection2DArray, 'crop_regions')
+        self._crop_sources = self._output(Detection2DArray, 'crop_sources')
         # First, so that the size that was published before a message is known by then.
         self._camera = self._input(CameraInfo, 'camera_info', self._on_camera_info)
         self._detections = self._input(
@@ -81,7 +82,7 @@ class ObbToHbb(ManagedNode[Settings]):
         if not self._active:
             self._monitor.add('messages_while_inactive')
             return
-        if not (wants_boxes or _wanted(self._crop_regions)):
+        if not (wants_boxes or _wanted(self._crop_regions) or _wanted(self._crop_sources)):
             self._monitor.add('messages_without_subscriber')
             return
         settings = self._parameters_in_force.settings
@@ -96,20 +97,31 @@ class ObbToHbb(ManagedNode[Settings]):
             return
         if wants_boxes:
             self._boxes.publish(batch.boxes_message())
-        # Asked only now: whoever waits for the boxes does not wait for this.
-        wants_regions = _wanted(self._crop_regions)
+        # Subscribers are counted only now: whoever waits for the boxes does not wait for this.
         if image_size is None:
-            missed = {'no crop regions': wants_regions,
-                      'boxes are not clipped': wants_boxes and settings.clip_boxes}
-            if any(missed.values()):
-                self._warn_of_image_size(', '.join(each for each in missed if missed[each]))
-        elif wants_regions:
-            self._crop_regions.publish(batch.crop_regions_message())
+            self._warn_of_missed(wants_boxes and settings.clip_boxes)
+        else:
+            self._publish_crops(batch)
         self._monitor.counts.update(batch.counts)
         if batch.complaint:
             topic = self._detections.topic_name
             self._warn('invalid detections', f'{topic}: {batch.complaint}')
         self._monitor.took(time.perf_counter() - started)
+
+    def _publish_crops(self, batch: Batch) -> None:
+        """Publish what is wanted of the crop plan."""
+        # The sources first, so that they are there when the regions are cut.
+        if _wanted(self._crop_sources):
+            self._crop_sources.publish(batch.crop_sources_message())
+        if _wanted(self._crop_regions):
+            self._crop_regions.publish(batch.crop_regions_message())
+
+    def _warn_of_missed(self, wants_clipped: bool) -> None:
+        """Report what a message without the size of the image does not get."""
+        wants_crops = _wanted(self._crop_regions) or _wanted(self._crop_sources)
+        missed = {'no crop regions': wants_crops, 'boxes are not clipped': wants_clipped}
+        if any(missed.values()):
+            self._warn_of_image_size(', '.join(each for each in missed if missed[each]))
 
     def _image_size(self, settings: Settings) -> tuple[int, int] | None:
         """Return the size of the image, None if it is not known."""

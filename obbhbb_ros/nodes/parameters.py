@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Callable
 from collections.abc import Mapping
 from collections.abc import Sequence
+from typing import Any
 from typing import Generic
 
 from rcl_interfaces.msg import FloatingPointRange
@@ -41,6 +44,11 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
     return described
 
 
+def _plain(value: Any) -> Any:
+    """Return a parameter's value; numbers in a sequence come as an array from a service."""
+    return value.tolist() if isinstance(value, array) else value
+
+
 class LiveParameters(Generic[SettingsT]):
     """
     A node's parameters, and the settings that they amount to.
@@ -57,6 +65,13 @@ class LiveParameters(Generic[SettingsT]):
     overrides : mapping of str to rclpy.parameter.Parameter
         What was given at start, by YAML or command line.
 
+    Attributes
+    ----------
+    settings : SettingsT
+        What is in force.
+    on_change : callable
+        Called after every change.
+
     Raises
     ------
     ValueError
@@ -70,6 +85,7 @@ class LiveParameters(Generic[SettingsT]):
     ) -> None:
         self._node = node
         self._table = table
+        self.on_change: Callable[[], object] = lambda: None
         self._given_classes = table.mentioned_classes(overrides)
         self._declared: dict[str, Parameter] = {}
         self._declare(table.parameters())
@@ -83,7 +99,7 @@ class LiveParameters(Generic[SettingsT]):
 
     def values(self) -> Values:
         """All values in force, by name."""
-        return {name: self._node.get_parameter(name).value for name in self._declared}
+        return {name: _plain(self._node.get_parameter(name).value) for name in self._declared}
 
     def notable_values(self) -> Values:
         """Return the values worth reporting: parameters of a class only where they were set."""
@@ -113,7 +129,9 @@ class LiveParameters(Generic[SettingsT]):
     def _proposed(self, changes: Sequence[RosParameter]) -> SettingsT:
         """Make settings of the values in force with some changes."""
         values = self.values()
-        values.update({each.name: each.value for each in changes if each.name in self._declared})
+        values.update(
+            {each.name: _plain(each.value) for each in changes if each.name in self._declared}
+        )
         return self._table.settings(values)
 
     def _validate(self, changes: Sequence[RosParameter]) -> SetParametersResult:
@@ -140,3 +158,4 @@ class LiveParameters(Generic[SettingsT]):
         self.settings = self._proposed(changes)
         if any(change.name == 'class_ids' for change in changes):
             self._follow_classes()
+        self.on_change()

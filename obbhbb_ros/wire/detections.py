@@ -9,6 +9,7 @@ untouched. Messages of other types are first written as a `Detection2DArray`.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable
 from collections.abc import Sequence
 from functools import cached_property
@@ -58,8 +59,6 @@ _ORIENTATION_W = 7
 _PADDING = bytes(8)
 # Rows of `Detections._spans`.
 _RESULTS_AT, _ID_AT = 1, 5
-# Beyond any image, and exact as a number of pixels.
-_FARTHEST = 2.0**52
 
 
 class Detections:
@@ -143,6 +142,11 @@ class Detections:
             for each in at.tolist()
         ]
 
+    def ids(self) -> list[str]:
+        """Read the id of each detection; bytes that are no UTF-8 are escaped."""
+        at = self._message.places(_ID).tolist()
+        return [self._message.content(each).decode(errors='backslashreplace') for each in at]
+
     def rewrite(self, xywh: FloatArray, rows: Any = slice(None)) -> bytes:
         """
         Return the message with axis-aligned boxes; all else is as it was.
@@ -183,9 +187,7 @@ class Detections:
             The serialized message, little-endian.
         """
         self._place(rows, xywh)
-        writer = _Writer(self._message, len(rows))
-        writer.copy(self._spans()[:, rows])
-        return writer.message()
+        return _Writer(self._message, len(rows)).copy(self._spans[:, rows]).message()
 
     def joined(self, groups: Sequence[Sequence[int]], xywh: FloatArray) -> bytes:
         """
@@ -206,7 +208,7 @@ class Detections:
             The serialized message, little-endian. A detection has the header of the first of its
             group, all hypotheses of the group, and the ids of the group joined by `ID_SEPARATOR`.
         """
-        spans = self._spans()
+        spans = self._spans
         counts = self._message.words[spans[_RESULTS_AT] >> 2].tolist()
         rows = spans.T.tolist()
         self._place(np.array([group[0] for group in groups], np.int64), xywh)
@@ -225,6 +227,64 @@ class Detections:
             writer.add(box, box + _BOX_BYTES)
             ids = [self._message.content(rows[row][_ID_AT]) for row in group]
             writer.add_text(ID_SEPARATOR.encode().join(ids))
+        return writer.message()
+
+    def ranked(self, rows: IntArray, boxes: FloatArray, values: FloatArray) -> bytes:
+        """
+        Return the message with some of its detections, in another order, with values for scores.
+
+        The boxes of this object change as well.
+
+        Parameters
+        ----------
+        rows : ndarray of int, shape (M,)
+            Which detections, in the order wanted, none twice.
+        boxes : ndarray, shape (5, M)
+            Centre x and y, size along theta and across it, theta.
+        values : ndarray, shape (M,)
+            Their values: the score of the best hypothesis becomes the value, that of others NaN.
+
+        Returns
+        -------
+        bytes
+            The serialized message, little-endian.
+        """
+        self._numbers[self._boxes_at[:, rows]] = boxes
+        scores_at = self._message.places(_SCORE) >> 3
+        scores = self._numbers[scores_at]
+        classes_at, _ = self._best_hypotheses
+        best = np.searchsorted(self._message.places(_CLASS), classes_at[rows])
+        with_class = classes_at[rows] > 0
+        self._numbers[scores_at] = nan
+        self._numbers[scores_at[best[with_class]]] = values[with_class]
+        try:
+            return _Writer(self._message, len(rows)).copy(self._spans[:, rows]).message()
+        finally:
+            self._numbers[scores_at] = scores
+
+    def alone(self, row: int, header: bytes, own_header: bytes) -> bytes:
+        """
+        Return a message with one of the detections.
+
+        Parameters
+        ----------
+        row : int
+            Which detection.
+        header, own_header : bytes
+            Headers of the message and of the detection, as `header_bytes` writes them.
+
+        Returns
+        -------
+        bytes
+            The serialized message, little-endian.
+        """
+        _, results, fields_end, first, box, id_at, _ = self._spans[:, row].tolist()
+        writer = _Writer(self._message, 1, header)
+        writer.add_bytes(own_header)
+        writer.add(results, fields_end)
+        writer.align()
+        writer.add(first, box + _BOX_BYTES)
+        writer.add_text(self._message.content(id_at))
         return writer.message()
 
     def _place(self, rows: Any, xywh: FloatArray) -> None:
@@ -258,6 +318,7 @@ class Detections:
             scores[rows] = np.where(better, mine, best)
         return at, scores
 
+    @cached_property
     def _spans(self) -> IntArray:
         """
         Find the parts of each detection.
@@ -288,24 +349,26 @@ class _Writer:
     Parameters
     ----------
     source : Elements
-        The other message; the new one has its header.
+        The other message.
     count : int
         How many detections the new one has.
+    header : bytes, optional
+        Header of the new one, whole words; by default that of the other.
     """
 
-    def __init__(self, source: Elements, count: int) -> None:
+    def __init__(self, source: Elements, count: int, header: bytes = b'') -> None:
         self._raw = memoryview(source.words.data).cast('B')
         self._chunks: list[Any] = [LITTLE_ENDIAN]
         self._end = 0
         # Bytes that fill up the last word: not sent with the last string of the message.
         self._filling = 0
-        self.add(0, 4 * source.header_words)
+        self.add_bytes(header or self._raw[: 4 * source.header_words])
         self.add_bytes(count.to_bytes(4, 'little'))
 
-    def copy(self, spans: IntArray) -> None:
+    def copy(self, spans: IntArray) -> _Writer:
         """Add detections of the other message, (7, M) as `Detections._spans` gives them."""
         if not spans.size:
-            return
+            return self
         start, _, fields_end, first, _, _, unfilled = spans
         end = unfilled + 3 & -4
         # From its first number of eight bytes on, a detection is the same at every position. The
@@ -325,6 +388,7 @@ class _Writer:
             self._raw[i:j]
             for i, j in zip(starts[pieces].tolist(), stops[pieces].tolist(), strict=True)
         ]
+        return self
 
     def add(self, start: int, end: int) -> None:
         """Add bytes of the other message, whole words."""
@@ -459,32 +523,10 @@ def canonical(data: bytes) -> bytes:
     return Elements(data, _HEADER, _DETECTION).message()
 
 
-def read_regions(data: bytes) -> tuple[tuple[int, int], list[tuple[int, int, int, int]]]:
-    """
-    Read the regions of a crop plan.
-
-    Parameters
-    ----------
-    data : bytes
-        A serialized `vision_msgs/Detection2DArray`.
-
-    Returns
-    -------
-    stamp : tuple of int
-        Seconds and nanoseconds.
-    regions : list of tuple of int
-        x0, y0, x1, y1 in whole pixels, a region's parts of pixels taken in as wholes; empty ones
-        for boxes that are not finite.
-
-    Raises
-    ------
-    obbhbb_ros.wire.cdr.WireError
-        If the bytes are no such message.
-    """
-    detections = Detections(data)
-    xywhr = detections.xywhr()
-    center, half = xywhr[:, :2], xywhr[:, 2:4] / 2.0
-    corners = np.hstack((np.floor(center - half), np.ceil(center + half)))
-    corners[~np.isfinite(corners).all(axis=1)] = 0.0
-    rows = np.clip(corners, -_FARTHEST, _FARTHEST).astype(np.int64).tolist()
-    return detections.stamp, [(x0, y0, x1, y1) for x0, y0, x1, y1 in rows]
+def header_bytes(stamp: tuple[int, int], frame_id: str) -> bytes:
+    """Write a `std_msgs/Header`, little-endian, filled up to whole words."""
+    content = frame_id.encode(errors='replace') + b'\0'
+    seconds, nanoseconds = stamp
+    return struct.pack('<iII', seconds, nanoseconds, len(content)) + content + _PADDING[
+        : -len(content) & 3
+    ]

@@ -64,6 +64,7 @@ YOLO_DETECTION: Struct = {
 POLYGON_2D: Struct = {'points': Array(8, 2)}
 POLYGON: Struct = {'polygon': {'points': Array(4, 3)}}
 
+BOOL: Struct = {'data': _UINT8}
 IMAGE: Struct = {
     'header': HEADER,
     'height': _UINT32,

@@ -20,7 +20,7 @@ from launch_files import launched
 from obbhbb_ros import cli
 from obbhbb_ros import commands
 from obbhbb_ros.boxes import Defect
-from obbhbb_ros.downlink.budget import Dropped
+from obbhbb_ros.downlink.chips import Dropped
 from obbhbb_ros.downlink.crops import LeftOut
 from obbhbb_ros.downlink.pairing import Unpaired
 from obbhbb_ros.nodes.documentation import NODE_TABLES

@@ -13,6 +13,8 @@ from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
 from obbhbb_ros.downlink.chips import ChipError
 from obbhbb_ros.downlink.chips import CodecSettings
+from obbhbb_ros.downlink.chips import Dropped
+from obbhbb_ros.downlink.chips import chips_of
 from obbhbb_ros.downlink.chips import cut
 from obbhbb_ros.downlink.chips import encode
 from obbhbb_ros.downlink.chips import format_text
@@ -200,3 +202,31 @@ def test_the_format_text_is_that_of_image_transport(encoding, codec, text) -> No
 def test_settings_that_cannot_be_are_an_error_that_names_them(wrong, message) -> None:
     with pytest.raises(ValueError, match=message):
         CodecSettings(**wrong)
+
+
+def chips_and_drops(view, regions, codec):
+    """Give the regions of the chips, and what was dropped: reason, region, error."""
+    drops = []
+    grey = PIXEL_FORMATS['mono8']
+    chips = list(chips_of(view, grey, regions, codec, lambda *args: drops.append(args)))
+    return [(chip.index, chip.region) for chip in chips], drops
+
+
+def test_a_region_outside_the_image_is_told() -> None:
+    outside, empty = (500, 0, 510, 10), (9, 9, 9, 9)
+    chips, drops = chips_and_drops(
+        np.zeros((40, 40, 1), np.uint8), [outside, (0, 0, 4, 4), empty], CodecSettings('png')
+    )
+    assert chips == [(1, (0, 0, 4, 4))]
+    assert drops == [(Dropped.OUTSIDE, outside, None), (Dropped.OUTSIDE, empty, None)]
+
+
+def test_a_chip_that_the_format_cannot_hold_is_told() -> None:
+    wide = np.zeros((1, 20_000, 1), np.uint8)
+    chips, drops = chips_and_drops(
+        wide, [(0, 0, 20_000, 1), (0, 0, 4, 1)], CodecSettings('webp')
+    )
+    assert chips == [(1, (0, 0, 4, 1))]
+    ((reason, region, error),) = drops
+    assert (reason, region) == (Dropped.ENCODER, (0, 0, 20_000, 1))
+    assert isinstance(error, (ValueError, OSError))

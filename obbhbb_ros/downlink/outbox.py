@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The outbox: a folder from which the bus takes chips, each with a JSON file that describes it.
+
+A chip is complete when its JSON is there: both are written under other names, and the JSON gets
+its name last.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+from collections.abc import Collection
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
+from pathlib import Path
+from typing import Any
+
+from obbhbb_ros.files import replacing
+from obbhbb_ros.files import sync_folder
+
+JSON_SUFFIX = '.json'
+# Names of unfinished files begin with it.
+_HIDDEN = '.'
+_TOKEN = '.outbox'
+
+
+@dataclass
+class Contents:
+    """
+    What is in an outbox.
+
+    Attributes
+    ----------
+    complete : set of str
+        Ids of the chips with JSON.
+    partial : set of str
+        Ids of files of which the other one is not there.
+    bytes : int
+        Bytes of all files.
+    """
+
+    complete: set[str] = field(default_factory=set)
+    partial: set[str] = field(default_factory=set)
+    bytes: int = 0
+
+    def __contains__(self, chip_id: str) -> bool:
+        """Return whether there is any file of a chip."""
+        return chip_id in self.complete or chip_id in self.partial
+
+
+class Outbox:
+    """
+    An outbox folder, with a subfolder for each level of priority, '0' for the most valuable.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it is; made if it is missing.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     outbox = Outbox(Path(folder))
+    ...     outbox.put('5_000000000_a1b2c3_1', 'jpg', b'...', {'value': 0.7}, level=1)
+    ...     sorted(str(path.relative_to(folder)) for path in Path(folder).glob('*/*'))
+    ['1/5_000000000_a1b2c3_1.jpg', '1/5_000000000_a1b2c3_1.json']
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = Path(folder)
+
+    def put(
+        self, chip_id: str, suffix: str, data: bytes, description: dict[str, Any], level: int
+    ) -> None:
+        """
+        Write a chip and its JSON; both are on disk when this returns.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        folder = self.folder / str(level)
+        chip, described = folder / f'{chip_id}.{suffix}', folder / f'{chip_id}{JSON_SUFFIX}'
+        try:
+            with replacing(chip) as partial:
+                partial.write_bytes(data)
+            # The name of the chip must not come to the disk after that of its JSON.
+            sync_folder(folder)
+            with replacing(described) as partial:
+                partial.write_bytes(json_bytes(description))
+            sync_folder(folder)
+        except OSError:
+            if not described.exists():
+                chip.unlink(missing_ok=True)
+            raise
+
+    def contents(self) -> Contents:
+        """List what is there; OSError if that cannot be known."""
+        found, suffixes = Contents(), dict[str, set[str]]()
+        for folder in self._levels():
+            for entry in os.scandir(folder):
+                if entry.name.startswith(_HIDDEN):
+                    continue
+                stem, suffix = os.path.splitext(entry.name)
+                suffixes.setdefault(stem, set()).add(suffix)
+                try:
+                    found.bytes += entry.stat().st_size
+                except FileNotFoundError:
+                    # The bus has taken it just now.
+                    suffixes[stem].discard(suffix)
+        for stem, ends in suffixes.items():
+            if JSON_SUFFIX in ends and len(ends) > 1:
+                found.complete.add(stem)
+            elif ends:
+                found.partial.add(stem)
+        return found
+
+    def remove_unfinished(self, ids: Collection[str]) -> None:
+        """Remove files without a final name, and those of some chips that have no JSON."""
+        for folder in self._levels():
+            for path in list(folder.iterdir()):
+                if path.name.startswith(_HIDDEN) or path.stem in ids:
+                    path.unlink(missing_ok=True)
+
+    def token(self) -> str:
+        """Return what tells this outbox from all others, such as an empty mount point."""
+        path = self.folder / _TOKEN
+        if not path.exists():
+            with replacing(path) as partial:
+                partial.write_text(secrets.token_hex(8), encoding='ascii')
+            sync_folder(self.folder)
+        return path.read_text(encoding='ascii', errors='replace')
+
+    def _levels(self) -> list[Path]:
+        """List the subfolders."""
+        return [path for path in self.folder.iterdir() if path.name.isdigit() and path.is_dir()]
+
+
+def json_bytes(description: dict[str, Any]) -> bytes:
+    """Write the JSON file of a chip."""
+    return json.dumps(description, ensure_ascii=False).encode(errors='replace')
+
+
+def level_of(value: float, thresholds: Sequence[float]) -> int:
+    """
+    Return the level of priority of a value: how many thresholds are above it.
+
+    Examples
+    --------
+    >>> [level_of(value, (0.5, 0.8)) for value in (0.9, 0.8, 0.6, 0.1)]
+    [0, 0, 1, 2]
+    """
+    return sum(value < threshold for threshold in thresholds)

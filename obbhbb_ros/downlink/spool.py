@@ -1,0 +1,587 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The spool: a folder in which chips wait for the ground, whatever happens to the processes.
+
+Its catalogue is an SQLite database with the chips in it. Whatever changes, changes in one
+transaction that is on disk when it ends: a frame is planned, its chips are stored, a chip is
+claimed, released, delivered. So the books balance at every instant,
+
+    planned = delivered + waiting + evicted + refused + in work,
+
+where `in work` are the chips of the frames that a running process has in hand. Several processes
+may have a spool open.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import sqlite3
+from collections import Counter
+from collections.abc import Callable
+from collections.abc import Iterator
+from collections.abc import Mapping
+from collections.abc import Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from typing import NamedTuple
+from typing import TypeVar
+
+from obbhbb_ros.downlink.catalogue import Catalogue
+from obbhbb_ros.downlink.catalogue import SpoolError
+
+T = TypeVar('T')
+
+_VERSION = 1
+# Times the maximum size that the file of a catalogue may have.
+_SLACK = 1.1
+# Free pages that are given back to the disk in one transaction.
+_PAGES_GIVEN_BACK = 1000
+
+WAITING, CLAIMED, RELEASED = 0, 1, 2
+"""States of a chip in the catalogue: in the spool, on its way to the outbox, in the outbox."""
+
+# Tables, and triggers that count chips and bytes by state.
+_SCHEMA = """
+CREATE TABLE chips (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT,
+    id TEXT NOT NULL UNIQUE,
+    state INTEGER NOT NULL,
+    value REAL NOT NULL,
+    class_id TEXT NOT NULL,
+    bytes INTEGER NOT NULL,
+    facts TEXT NOT NULL,
+    data BLOB
+);
+CREATE INDEX chips_to_release ON chips (state, value DESC, seq);
+CREATE INDEX chips_to_evict ON chips (state, value, seq);
+CREATE TABLE frames (
+    number INTEGER PRIMARY KEY AUTOINCREMENT, writer INTEGER NOT NULL, chips INTEGER NOT NULL
+);
+CREATE TABLE notes (name TEXT PRIMARY KEY, text TEXT NOT NULL);
+CREATE TABLE books (name TEXT PRIMARY KEY, count INTEGER NOT NULL);
+CREATE TABLE totals (state INTEGER PRIMARY KEY, chips INTEGER NOT NULL, bytes INTEGER NOT NULL);
+INSERT INTO totals VALUES (0, 0, 0), (1, 0, 0), (2, 0, 0);
+CREATE TRIGGER chip_in AFTER INSERT ON chips BEGIN
+    UPDATE totals SET chips = chips + 1, bytes = bytes + NEW.bytes WHERE state = NEW.state;
+END;
+CREATE TRIGGER chip_moved AFTER UPDATE OF state ON chips BEGIN
+    UPDATE totals SET chips = chips - 1, bytes = bytes - OLD.bytes WHERE state = OLD.state;
+    UPDATE totals SET chips = chips + 1, bytes = bytes + NEW.bytes WHERE state = NEW.state;
+END;
+CREATE TRIGGER chip_out AFTER DELETE ON chips BEGIN
+    UPDATE totals SET chips = chips - 1, bytes = bytes - OLD.bytes WHERE state = OLD.state;
+END;
+"""
+
+
+@dataclass(frozen=True)
+class NewChip:
+    """
+    A chip to store.
+
+    Attributes
+    ----------
+    value : float
+        Value, finite.
+    class_id : str
+        Class of the best detection.
+    stamp : tuple of int
+        Seconds and nanoseconds of the image.
+    facts : mapping of str to value
+        The rest of what its JSON says, besides `id`, `stamp`, `class_id`, `value`, `bytes` and
+        `sha256`.
+    data : bytes
+        The file.
+
+    Raises
+    ------
+    ValueError
+        If the value is not finite.
+    """
+
+    value: float
+    class_id: str
+    stamp: tuple[int, int]
+    facts: Mapping[str, Any]
+    data: bytes
+
+    def __post_init__(self) -> None:
+        """Check the value."""
+        if not math.isfinite(self.value):
+            raise ValueError(f'value must be finite, not {self.value}')
+
+
+class StoredChip(NamedTuple):
+    """A chip of the catalogue; `facts` is JSON without `id` and `value`."""
+
+    seq: int
+    id: str
+    state: int
+    value: float
+    class_id: str
+    bytes: int
+    facts: str
+
+    def describe(self) -> dict[str, Any]:
+        """Give everything that is known of the chip, as its JSON file has it."""
+        return {'id': self.id, 'value': self.value, **json.loads(self.facts)}
+
+
+_COLUMNS = ', '.join(StoredChip._fields)
+
+
+class Frame(NamedTuple):
+    """A frame in work: the catalogue and row in which it was planned, and how many chips it has."""
+
+    catalogue: str
+    number: int
+    chips: int
+
+
+@dataclass(frozen=True)
+class Status:
+    """
+    The books of a spool.
+
+    Attributes
+    ----------
+    waiting, waiting_bytes : int
+        Chips in the spool, those on their way to the outbox included, and bytes of their files.
+    in_outbox : int
+        Chips in the outbox whose removal is waited for.
+    in_work : int
+        Chips of frames that are being cut.
+    file_bytes : int
+        Size of the catalogue in use.
+    set_aside : int
+        Damaged catalogues beside it.
+    counts : mapping of str to int
+        `planned`, `released`, `delivered`, `delivered_bytes`, and `evicted.<reason>`,
+        `refused.<reason>`.
+    """
+
+    waiting: int
+    waiting_bytes: int
+    in_outbox: int
+    in_work: int
+    file_bytes: int
+    set_aside: int
+    counts: Mapping[str, int]
+
+    def total(self, kind: str) -> int:
+        """Sum up `evicted` or `refused` over all reasons."""
+        return sum(n for name, n in self.counts.items() if name.startswith(f'{kind}.'))
+
+    @property
+    def balance(self) -> int:
+        """Chips planned that are unaccounted for; 0."""
+        return self.counts.get('planned', 0) - (
+            self.counts.get('delivered', 0) + self.waiting + self.in_outbox + self.in_work
+            + self.total('evicted') + self.total('refused')
+        )
+
+
+class Spool:
+    """
+    One process's access to a spool; it opens the catalogue when it is first needed.
+
+    A `Spool` belongs to one thread at a time. Methods raise `SpoolError` if the spool cannot be
+    used, with a full disk for example, and try again at the next call. `plan` and `store` do not:
+    what they cannot write down is kept in memory and written down when that is possible again.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the spool is; made if it is missing.
+    on_trouble : callable
+        Called with a text about everything that an operator should know.
+    role : str
+        'writer' for `plan` and `store`, 'releaser' for `claim` and what follows; a spool has any
+        number of writers and one releaser.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> chip = NewChip(0.9, 'ship', (5, 0), {'codec': 'jpeg'}, b'...')
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     spool = Spool(Path(folder), on_trouble=print, role='writer')
+    ...     done = spool.store(spool.plan(2), [chip], {'encoder_failed': 1})
+    ...     status = spool.status()
+    ...     spool.close()
+    >>> done, status.waiting, status.counts['planned'], status.counts['refused.encoder_failed']
+    (True, 1, 2, 1)
+    """
+
+    def __init__(
+        self, folder: Path, on_trouble: Callable[[str], object], role: str = ''
+    ) -> None:
+        self._folder = Path(folder)
+        self._on_trouble = on_trouble
+        self._catalogue = Catalogue(
+            self._folder, _SCHEMA, _VERSION, on_trouble,
+            {'writer': self._become_writer, 'releaser': self._become_releaser}.get(role),
+        )
+        self._number = 0
+        # What could not be written down: frames and why none of their chips was stored.
+        self._arrears: list[tuple[Frame, Counter[str]]] = []
+
+    # Writing chips
+
+    def plan(self, chips: int) -> Frame:
+        """Write down that a frame with some chips is in work."""
+        with self._said():
+            return self._write(lambda rows: self._begin_frame(rows, chips))
+        return Frame('', 0, chips)
+
+    def store(
+        self,
+        frame: Frame,
+        chips: Sequence[NewChip],
+        refused: Mapping[str, int],
+        max_bytes: float = 0.0,
+    ) -> bool:
+        """
+        Store the chips of a frame, and evict the least valuable ones if there is no room.
+
+        Parameters
+        ----------
+        frame : Frame
+            From `plan`.
+        chips : sequence of NewChip
+            Its chips.
+        refused : mapping of str to int
+            How many of its chips are not stored, by reason; together with `chips` all of them.
+        max_bytes : float
+            Maximum size of the catalogue, bytes (0: unlimited).
+
+        Returns
+        -------
+        bool
+            Whether it is done; if not, all chips are refused, as `spool_failed`.
+        """
+        with self._said():
+            self._write(lambda rows: self._store(rows, frame, chips, refused, max_bytes))
+            return True
+        failed = Counter(refused)
+        failed['spool_failed'] += len(chips)
+        self._arrears.append((frame, failed))
+        return False
+
+    # Releasing chips
+
+    def claim(
+        self, most: int, room: float, largest: float, overhead: int
+    ) -> tuple[list[tuple[StoredChip, bytes]], int]:
+        """
+        Take the next chips, which nobody evicts from then on.
+
+        Parameters
+        ----------
+        most : int
+            Maximum number of chips.
+        room, largest : float
+            Maximum bytes of all and of one; a larger one is passed over.
+        overhead : int
+            Bytes that each costs besides its file and JSON.
+
+        Returns
+        -------
+        list of (StoredChip, bytes)
+            Chips and their files, the most valuable first, the oldest of equals first.
+        int
+            Bytes of the first one that has no room; 0 if none waits.
+        """
+        def work(rows: sqlite3.Cursor) -> tuple[list[tuple[StoredChip, bytes]], int]:
+            left, claimed, missing = room, [], 0
+            for cost, *fields in rows.execute(
+                f'SELECT {_COST} + ?, {_COLUMNS} FROM chips WHERE state = ? AND {_COST} + ? <= ? '
+                'ORDER BY value DESC, seq LIMIT ?', (overhead, WAITING, overhead, largest, most)
+            ).fetchall():
+                if cost > left:
+                    missing = cost
+                    break
+                left -= cost
+                chip = StoredChip(*fields)
+                (data,) = rows.execute(
+                    'SELECT data FROM chips WHERE seq = ?', (chip.seq,)
+                ).fetchone()
+                claimed.append((chip, data))
+            _set_state(rows, [chip.seq for chip, _ in claimed], CLAIMED)
+            return claimed, missing
+
+        return self._write(work)
+
+    def unclaim(self, seqs: Sequence[int]) -> None:
+        """Put claimed chips back."""
+        if seqs:
+            self._write(lambda rows: _set_state(rows, seqs, WAITING))
+
+    def released(self, seqs: Sequence[int], delivered: bool) -> None:
+        """Write down that chips are in the outbox, and whether they are delivered by that."""
+        def work(rows: sqlite3.Cursor) -> None:
+            # The outbox has the file now.
+            rows.executemany(
+                'UPDATE chips SET state = ?, data = NULL WHERE seq = ?',
+                [(RELEASED, seq) for seq in seqs],
+            )
+            _book(rows, 'released', rows.rowcount)
+            if delivered:
+                _deliver(rows, 'seq', seqs)
+
+        if seqs:
+            self._write(work)
+
+    def delivered(self, ids: Sequence[str]) -> None:
+        """Write down that the bus has taken chips from the outbox."""
+        if ids:
+            self._write(lambda rows: _deliver(rows, 'id', ids))
+
+    def ids(self, state: int) -> list[tuple[int, str]]:
+        """List sequence number and id of the chips in a state."""
+        return self._catalogue.run(lambda rows: rows.execute(
+            'SELECT seq, id FROM chips WHERE state = ?', (state,)
+        ).fetchall())
+
+    def set_aside(self, seq: int) -> None:
+        """Take a chip whose file is damaged out of the catalogue, and count it as evicted."""
+        def work(rows: sqlite3.Cursor) -> None:
+            rows.execute('DELETE FROM chips WHERE seq = ?', (seq,))
+            _book(rows, 'evicted.damaged', rows.rowcount)
+
+        self._write(work)
+
+    def outbox(self) -> str:
+        """Return the token of the outbox that chips are released into; empty if none is known."""
+        row = self._catalogue.run(
+            lambda rows: rows.execute("SELECT text FROM notes WHERE name = 'outbox'").fetchone()
+        )
+        return row[0] if row else ''
+
+    def set_outbox(self, token: str) -> None:
+        """Write down which outbox chips are released into."""
+        self._write(
+            lambda rows: rows.execute("REPLACE INTO notes VALUES ('outbox', ?)", (token,))
+        )
+
+    # Looking at it and changing it
+
+    def status(self) -> Status:
+        """Read the books."""
+        def work(rows: sqlite3.Cursor) -> Status:
+            totals = {
+                state: (chips, size)
+                for state, chips, size in rows.execute('SELECT * FROM totals').fetchall()
+            }
+            (in_work,) = rows.execute('SELECT ifnull(sum(chips), 0) FROM frames').fetchone()
+            return Status(
+                waiting=totals[WAITING][0] + totals[CLAIMED][0],
+                waiting_bytes=totals[WAITING][1] + totals[CLAIMED][1],
+                in_outbox=totals[RELEASED][0],
+                in_work=in_work,
+                file_bytes=self._catalogue.file_bytes,
+                set_aside=self._catalogue.set_aside,
+                counts=dict(rows.execute('SELECT name, count FROM books').fetchall()),
+            )
+
+        return self._catalogue.run(work)
+
+    def select(
+        self, where: str = '1', values: Sequence[Any] = (), most: int = -1
+    ) -> list[StoredChip]:
+        """List chips that meet an SQL condition, in the order of their release."""
+        return [StoredChip(*row) for row in self._catalogue.run(lambda rows: rows.execute(
+            f'SELECT {_COLUMNS} FROM chips WHERE {where} ORDER BY state DESC, value DESC, seq '
+            'LIMIT ?', (*values, most)
+        ).fetchall())]
+
+    def data(self, seq: int) -> bytes | None:
+        """Read the file of a chip; None if it is in the outbox."""
+        row = self._catalogue.run(
+            lambda rows: rows.execute('SELECT data FROM chips WHERE seq = ?', (seq,)).fetchone()
+        )
+        return None if row is None else row[0]
+
+    def revalue(self, where: str, values: Sequence[Any], scale: float, offset: float) -> int:
+        """Change the value of waiting chips that meet a condition; return how many."""
+        def work(rows: sqlite3.Cursor) -> int:
+            rows.execute(
+                f'UPDATE chips SET value = value * ? + ? WHERE state = ? AND {where}',
+                (scale, offset, WAITING, *values),
+            )
+            return rows.rowcount
+
+        return self._write(work)
+
+    def delete(self, where: str, values: Sequence[Any]) -> int:
+        """Delete waiting chips that meet a condition, counted as evicted; return how many."""
+        def work(rows: sqlite3.Cursor) -> int:
+            rows.execute(f'DELETE FROM chips WHERE state = ? AND {where}', (WAITING, *values))
+            deleted = rows.rowcount
+            _book(rows, 'evicted.deleted', deleted)
+            return deleted
+
+        return self._write(work)
+
+    def integrity(self) -> list[str]:
+        """Check the structure of the catalogue; list what is wrong."""
+        found = self._catalogue.run(lambda rows: rows.execute('PRAGMA integrity_check').fetchall())
+        return [text for (text,) in found if text != 'ok']
+
+    def close(self) -> None:
+        """Close the catalogue and let go of the locks."""
+        self._catalogue.close()
+
+    def _write(self, work: Callable[[sqlite3.Cursor], T]) -> T:
+        """Change something, after what could not be written down before."""
+        def all_work(rows: sqlite3.Cursor) -> T:
+            for frame, refused in self._arrears:
+                self._settle(rows, frame, refused)
+            return work(rows)
+
+        result = self._catalogue.run(all_work, writing=True)
+        self._arrears.clear()
+        return result
+
+    @contextmanager
+    def _said(self) -> Iterator[None]:
+        """Have the operator know what goes wrong."""
+        try:
+            yield
+        except SpoolError as error:
+            self._on_trouble(str(error))
+
+    def _begin_frame(self, rows: sqlite3.Cursor, chips: int) -> Frame:
+        """Open a frame for this process."""
+        _book(rows, 'planned', chips)
+        rows.execute('INSERT INTO frames (writer, chips) VALUES (?, ?)', (self._number, chips))
+        return Frame(self._catalogue.tag, int(rows.lastrowid or 0), chips)
+
+    def _store(
+        self,
+        rows: sqlite3.Cursor,
+        frame: Frame,
+        chips: Sequence[NewChip],
+        refused: Mapping[str, int],
+        max_bytes: float,
+    ) -> None:
+        """Insert chips, settle their frame and make room."""
+        self._settle(rows, frame, refused)
+        (last,) = rows.execute(
+            "SELECT ifnull(max(seq), 0) FROM sqlite_sequence WHERE name = 'chips'"
+        ).fetchone()
+        rows.executemany(
+            f'INSERT INTO chips ({_COLUMNS}, data) VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
+            [self._row(last + 1 + i, chip) for i, chip in enumerate(chips)],
+        )
+        if max_bytes:
+            _evict(rows, max_bytes)
+
+    def _row(self, seq: int, chip: NewChip) -> tuple[Any, ...]:
+        """Lay out a chip for the catalogue."""
+        seconds, nanoseconds = chip.stamp
+        facts = {
+            'stamp': {'sec': seconds, 'nanosec': nanoseconds},
+            'class_id': chip.class_id,
+            **chip.facts,
+            'bytes': len(chip.data),
+            'sha256': hashlib.sha256(chip.data).hexdigest(),
+        }
+        name = f'{seconds}_{nanoseconds:09d}_{self._catalogue.tag}_{seq}'
+        return (
+            seq, name, WAITING, chip.value, chip.class_id, len(chip.data),
+            json.dumps(facts, ensure_ascii=False), chip.data,
+        )
+
+    def _settle(self, rows: sqlite3.Cursor, frame: Frame, refused: Mapping[str, int]) -> None:
+        """Close a frame; one that was planned in another catalogue, or in none, is planned here."""
+        if frame.catalogue == self._catalogue.tag:
+            rows.execute('DELETE FROM frames WHERE number = ?', (frame.number,))
+        else:
+            _book(rows, 'planned', frame.chips)
+        for reason, count in refused.items():
+            _book(rows, f'refused.{reason}', count)
+
+    def _become_writer(self, rows: sqlite3.Cursor) -> None:
+        """Take numbers that no other writer holds; frames with them are of writers that died."""
+        (most,) = rows.execute('SELECT ifnull(max(writer), 0) FROM frames').fetchone()
+        mine = None
+        for number in itertools.count():
+            if self._catalogue.lock(f'writer_{number}'):
+                _refuse_interrupted(rows, number)
+                mine = number if mine is None else mine
+            if mine is not None and number >= most:
+                self._number = mine
+                return
+
+    def _become_releaser(self, rows: sqlite3.Cursor) -> None:
+        """Keep other releasers away."""
+        if not self._catalogue.lock('releaser'):
+            raise SpoolError(f'{self._folder}: another process releases this spool')
+
+
+def is_intact(description: Mapping[str, Any], data: bytes) -> bool:
+    """Return whether a chip's file is the one that its description was written for."""
+    return bool(description['sha256'] == hashlib.sha256(data).hexdigest())
+
+
+# Bytes that a chip costs on the link: file and JSON, with at most so many bytes for id and value.
+_JSON_ROOM = 128
+_COST = f'(bytes + length(CAST(facts AS BLOB)) + {_JSON_ROOM})'
+
+
+def _book(rows: sqlite3.Cursor, name: str, count: int) -> None:
+    """Add to a count."""
+    if count:
+        rows.execute(
+            'INSERT INTO books VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET count = count + ?',
+            (name, count, count),
+        )
+
+
+def _refuse_interrupted(rows: sqlite3.Cursor, writer: int) -> None:
+    """Close the frames of a writer that ended in the middle of them."""
+    (chips,) = rows.execute(
+        'SELECT ifnull(sum(chips), 0) FROM frames WHERE writer = ?', (writer,)
+    ).fetchone()
+    rows.execute('DELETE FROM frames WHERE writer = ?', (writer,))
+    _book(rows, 'refused.interrupted', chips)
+
+
+def _set_state(rows: sqlite3.Cursor, seqs: Sequence[int], state: int) -> None:
+    """Move chips to a state."""
+    rows.executemany('UPDATE chips SET state = ? WHERE seq = ?', [(state, seq) for seq in seqs])
+
+
+def _deliver(rows: sqlite3.Cursor, key: str, values: Sequence[Any]) -> None:
+    """Count chips as delivered and take them out."""
+    for value in values:
+        row = rows.execute(f'SELECT bytes FROM chips WHERE {key} = ?', (value,)).fetchone()
+        if row is not None:
+            rows.execute(f'DELETE FROM chips WHERE {key} = ?', (value,))
+            _book(rows, 'delivered', 1)
+            _book(rows, 'delivered_bytes', row[0])
+
+
+def _evict(rows: sqlite3.Cursor, max_bytes: float) -> None:
+    """Delete the least valuable chips, the oldest of equals first, until the rest has room."""
+    def pragma(name: str) -> int:
+        return int(rows.execute(f'PRAGMA {name}').fetchone()[0])
+
+    evicted, most = 0, max_bytes / pragma('page_size')
+    while pragma('page_count') - pragma('freelist_count') > most:
+        rows.execute(
+            'DELETE FROM chips WHERE seq = (SELECT seq FROM chips WHERE state = ? '
+            'ORDER BY value, seq LIMIT 1)', (WAITING,),
+        )
+        if not rows.rowcount:
+            break
+        evicted += 1
+    _book(rows, 'evicted.max_bytes', evicted)
+    # Free pages are used again; only those far beyond a limit that was lowered go to the disk.
+    if pragma('page_count') > _SLACK * most:
+        rows.execute(f'PRAGMA incremental_vacuum({_PAGES_GIVEN_BACK})').fetchall()

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The downlink node: releases chips from the spool into the outbox while there is contact."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy
+from rclpy.qos import ReliabilityPolicy
+from std_msgs.msg import Bool
+
+from obbhbb_ros.downlink.catalogue import SpoolError
+from obbhbb_ros.downlink.outbox import Outbox
+from obbhbb_ros.downlink.release import IDLE
+from obbhbb_ros.downlink.release import Releaser
+from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.nodes.managed import ManagedNode
+from obbhbb_ros.nodes.spool_report import facts_of
+from obbhbb_ros.settings import DOWNLINK
+from obbhbb_ros.settings import DownlinkSettings
+from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.contact import read_contact
+
+# Seconds that the worker has for its last step; a disk that does not answer keeps it longer.
+_LAST_STEP = 2.0
+# Kept between two reports.
+_MOST_TROUBLES = 100
+
+
+class Worker:
+    """
+    Releases chips in a thread of its own, so that a slow outbox stalls nothing else.
+
+    Parameters
+    ----------
+    settings : DownlinkSettings
+        Where and how.
+
+    Attributes
+    ----------
+    releaser : Releaser
+        Its attributes may be set while the thread runs.
+    troubles : deque of str
+        What an operator should know.
+    """
+
+    def __init__(self, settings: DownlinkSettings) -> None:
+        self.troubles: deque[str] = deque(maxlen=_MOST_TROUBLES)
+        self._spool = Spool(Path(settings.spool_path), self.troubles.append, 'releaser')
+        self.releaser = Releaser(
+            self._spool, Outbox(Path(settings.outbox_path)), settings.release,
+            self.troubles.append,
+        )
+        self._wake, self._is_stopping = threading.Event(), False
+        # A process does not wait for it to end: whatever it does may be interrupted.
+        self._thread = threading.Thread(target=self._work, name='release', daemon=True)
+        self._thread.start()
+
+    def wake(self) -> None:
+        """Have changes take effect now."""
+        self._wake.set()
+
+    def stop(self) -> None:
+        """End the thread after its step, without waiting for a disk that does not answer."""
+        self.releaser.contact = False
+        self._is_stopping = True
+        self.wake()
+        self._thread.join(_LAST_STEP)
+
+    def _work(self) -> None:
+        """Release chips until told to stop."""
+        while not self._is_stopping:
+            try:
+                pause = self.releaser.step()
+            except Exception as error:
+                self.troubles.append(f'{type(error).__name__}: {error}')
+                pause = 10 * IDLE
+            self._wake.wait(pause)
+            self._wake.clear()
+        self._spool.close()
+
+
+class Downlink(ManagedNode[DownlinkSettings]):
+    """
+    Managed node `downlink`.
+
+    Subscribes to `contact`, publishes `/diagnostics`, moves chips from the spool to the outbox.
+    Topics and parameters: `doc/downlink.md`.
+
+    Parameters
+    ----------
+    **kwargs
+        Passed to `rclpy.lifecycle.LifecycleNode`.
+
+    Raises
+    ------
+    ValueError, rclpy.exceptions.ParameterException
+        If the parameters given at start cannot be used.
+    StartError
+        If `autostart` is set and the node cannot be configured or activated.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__('downlink', DOWNLINK, ('contacts_received',), **kwargs)
+        self._worker: Worker | None = None
+        self._books: Spool | None = None
+        self._contact = False
+        self._parameters_in_force.on_change = self._steer
+        self._autostart()
+
+    def _create_topics(self) -> None:
+        """Subscribe to the contact, and start the thread that releases."""
+        self._contact = False
+        self._contact_in = self._input(
+            Bool, 'contact', self._on_contact, reliability=ReliabilityPolicy.RELIABLE,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL, depth=1,
+        )
+        settings = self._parameters_in_force.settings
+        self._books = Spool(Path(settings.spool_path), self._warn_of_spool)
+        self._worker = Worker(settings)
+
+    def _steer(self) -> None:
+        """Tell the thread what is in force now."""
+        if self._worker is None:
+            return
+        settings = self._parameters_in_force.settings
+        releaser = self._worker.releaser
+        releaser.settings = settings.release
+        releaser.contact = self._active and (settings.always_in_contact or self._contact)
+        self._worker.wake()
+
+    def on_activate(self, state: Any) -> Any:
+        """Start releasing."""
+        result = super().on_activate(state)
+        self._steer()
+        return result
+
+    def _forget(self) -> None:
+        """Stop releasing."""
+        self._steer()
+
+    def _release(self) -> None:
+        """Destroy topics, end the thread."""
+        if self._worker is not None:
+            self._worker.stop()
+            self._worker = None
+        if self._books is not None:
+            self._books.close()
+            self._books = None
+        super()._release()
+
+    def destroy_node(self) -> None:
+        """End the thread with the node."""
+        if self._worker is not None:
+            self._worker.stop()
+        super().destroy_node()
+
+    def _on_contact(self, data: bytes) -> None:
+        """Learn whether there is contact."""
+        self._monitor.add('contacts_received')
+        try:
+            self._contact = read_contact(data)
+        except WireError as error:
+            self._drop_unreadable(data, self._contact_in, error)
+            return
+        self._steer()
+
+    def _facts(self) -> dict[str, str]:
+        """Report what is released, what stalls it, and the books of the spool."""
+        if self._worker is None or self._books is None:
+            return {}
+        releaser = self._worker.releaser
+        while self._worker.troubles:
+            self._warn_of_spool(self._worker.troubles.popleft())
+        facts = {
+            'contact': str(releaser.contact).lower(),
+            'stalled_by': releaser.stalled_by,
+            'budget_available': f'{releaser.available:.0f}',
+        }
+        try:
+            status = self._books.status()
+        except SpoolError as error:
+            self._warn_of_spool(str(error))
+            return facts
+        if status.waiting and releaser.contact and releaser.stalled_by == 'nothing waits':
+            self._warn(
+                'too large', f'{status.waiting} chips are larger than budget.burst and stay'
+            )
+        return {**facts, **facts_of(status)}
+
+    def _warn_of_spool(self, text: str) -> None:
+        """Report trouble with spool or outbox."""
+        self._monitor.add('troubles')
+        self._warn(text, text)

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Crop plans, read from the bytes of `vision_msgs/Detection2DArray`: what to cut, and from what."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from obbhbb_ros.wire.detections import ID_SEPARATOR
+from obbhbb_ros.wire.detections import Detections
+from obbhbb_ros.wire.detections import header_bytes
+
+# Beyond any image, and exact as a number of pixels.
+_FARTHEST = 2.0**52
+
+
+class Source(NamedTuple):
+    """
+    Where a region comes from.
+
+    Attributes
+    ----------
+    value : float
+        Value of the region; 0 where it has none.
+    obb : tuple of float
+        Centre x and y, length and width (pixels), theta (radians) of its most valuable detection.
+    """
+
+    value: float
+    obb: tuple[float, ...]
+
+
+class Plan:
+    """
+    A message on `crop_regions`.
+
+    Parameters
+    ----------
+    data : bytes
+        A serialized `vision_msgs/Detection2DArray`.
+
+    Attributes
+    ----------
+    stamp : tuple of int
+        Seconds and nanoseconds.
+    regions : list of tuple of int
+        x0, y0, x1, y1 in whole pixels, a region's parts of pixels taken in as wholes; empty ones
+        for boxes that are not finite.
+    class_ids : list of str
+        Class of the best hypothesis of each region, empty where there is none.
+    scores : list of float or None
+        Its score, None where it is no finite number.
+
+    Raises
+    ------
+    obbhbb_ros.wire.cdr.WireError
+        If the bytes are no such message.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self._detections = detections = Detections(data)
+        self.stamp = detections.stamp
+        xywhr = detections.xywhr()
+        center, half = xywhr[:, :2], xywhr[:, 2:4] / 2.0
+        corners = np.hstack((np.floor(center - half), np.ceil(center + half)))
+        corners[~np.isfinite(corners).all(axis=1)] = 0.0
+        rows = np.clip(corners, -_FARTHEST, _FARTHEST).astype(np.int64).tolist()
+        self.regions = [(x0, y0, x1, y1) for x0, y0, x1, y1 in rows]
+        self.class_ids = detections.class_ids()
+        self.scores = [
+            score if known else None
+            for score, known in zip(
+                detections.scores().tolist(), np.isfinite(detections.scores()).tolist(),
+                strict=True,
+            )
+        ]
+
+    def __len__(self) -> int:
+        """Count the regions."""
+        return len(self.regions)
+
+    def detection_ids(self) -> list[list[str]]:
+        """List the ids of the detections in each region; none for a detection without id."""
+        return [text.split(ID_SEPARATOR) if text else [] for text in self._detections.ids()]
+
+    def alone(
+        self, row: int, stamp: tuple[int, int], image_stamp: tuple[int, int], frame_id: str
+    ) -> bytes:
+        """
+        Write a message with the detection of one region, whose own header is that of the image.
+
+        Parameters
+        ----------
+        row : int
+            Which region.
+        stamp, image_stamp : tuple of int
+            Stamp of the message, and of the image: seconds and nanoseconds.
+        frame_id : str
+            Frame of both.
+
+        Returns
+        -------
+        bytes
+            A serialized `vision_msgs/Detection2DArray`.
+        """
+        return self._detections.alone(
+            row, header_bytes(stamp, frame_id), header_bytes(image_stamp, frame_id)
+        )
+
+
+def read_sources(data: bytes) -> tuple[tuple[int, int], list[Source]]:
+    """
+    Read a message on `crop_sources`.
+
+    Parameters
+    ----------
+    data : bytes
+        A serialized `vision_msgs/Detection2DArray`.
+
+    Returns
+    -------
+    stamp : tuple of int
+        Seconds and nanoseconds.
+    sources : list of Source
+        One for each region of the plan of the same stamp, in its order.
+
+    Raises
+    ------
+    obbhbb_ros.wire.cdr.WireError
+        If the bytes are no such message.
+    """
+    detections = Detections(data)
+    values = np.nan_to_num(detections.scores(), nan=0.0, posinf=0.0, neginf=0.0).tolist()
+    boxes = detections.xywhr().tolist()
+    return detections.stamp, [
+        Source(value, tuple(box)) for value, box in zip(values, boxes, strict=True)
+    ]
