@@ -334,7 +334,7 @@ def flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
 
 # Nodes ----------------------------------------------------------------------------------------
 
-MANAGED = ['obb_to_hbb', 'chip_extractor']
+MANAGED = ['obb_to_hbb', 'chip_extractor', 'downlink']
 SOURCES = '\n'.join(map(text_of, sorted((ROOT / 'obbhbb_ros').glob('**/*.py'))))
 
 

@@ -12,8 +12,10 @@ import pytest
 from harness import Peer
 from harness import Site
 
+from obbhbb_ros.nodes.documentation import NODE_TABLES
+
 POLICY = ElementTree.parse(Path(__file__).parents[2] / 'config' / 'security' / 'policy.xml')
-NODES = ('obb_to_hbb', 'chip_extractor')
+NODES = ('obb_to_hbb', 'chip_extractor', 'downlink')
 
 
 def allowed(node: str, kind: str, action: str) -> set[str]:
@@ -29,8 +31,16 @@ def absolute(name: str, node: str) -> str:
 
 
 @pytest.mark.parametrize('node', NODES)
-def test_the_policy_has_the_names_of_the_running_node(site: Site, node: str) -> None:
-    with site.start(node), Peer(site.context, '/watching') as peer:
+def test_the_policy_has_the_names_of_the_running_node(
+    site: Site, node: str, tmp_path: Path
+) -> None:
+    # With everything that a node may use.
+    folders = {'spool.path': tmp_path / 'spool', 'outbox.path': tmp_path / 'outbox'}
+    parameters = {
+        name: path for name, path in folders.items()
+        if name in NODE_TABLES[node].parameters()
+    }
+    with site.start(node, parameters=parameters), Peer(site.context, '/watching') as peer:
         graph = peer.node
         lists: dict[tuple[str, str], Callable[..., Any]] = {
             ('topic', 'publish'): graph.get_publisher_names_and_types_by_node,
