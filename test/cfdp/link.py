@@ -32,7 +32,7 @@ class Link:
     """
     One end of a UDP link that loses each datagram it sends with a probability of `loss`.
 
-    Without a peer, it answers to where the last datagram came from.
+    Without a peer, it answers to where the last PDU came from.
     """
 
     def __init__(
@@ -45,7 +45,8 @@ class Link:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(local)
         self.address: tuple[str, int] = self._socket.getsockname()
-        self._peer, self._loss, self._random = peer, loss, random.Random(seed)
+        self._peer, self._answers = peer, peer is None
+        self._loss, self._random = loss, random.Random(seed)
         self.sent = self.lost = 0
 
     def send(self, pdu: GenericPduPacket) -> None:
@@ -60,17 +61,18 @@ class Link:
         """Wait for a PDU; None if none comes, or something that is none."""
         self._socket.settimeout(seconds)
         try:
-            data, self._peer = self._socket.recvfrom(65536)
-        except TimeoutError:
-            return None
-        except ConnectionRefusedError:
-            # Nobody listens at the other end, which a radio would not tell.
+            data, sender = self._socket.recvfrom(65536)
+        except (TimeoutError, ConnectionRefusedError):
+            # Refused: nobody listens at the other end, which a radio would not tell.
             return None
         try:
-            return PduFactory.from_raw(data)
-        except Exception:  # noqa: BLE001, RUF100
+            pdu = PduFactory.from_raw(data)
+        except Exception:
             # Any exception: the parser raises whatever noise leads it to.
             return None
+        if self._answers:
+            self._peer = sender
+        return pdu
 
     def close(self) -> None:
         """Close the socket."""

@@ -2,6 +2,7 @@
 """An outbox survives the way down: CFDP class 2 over a link that loses every tenth PDU."""
 
 import json
+import socket
 import subprocess
 import sys
 import threading
@@ -9,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
+from random import Random
 
 import pytest
 from bus import Bus
@@ -127,6 +129,21 @@ def test_a_removal_that_was_interrupted_is_completed_without_sending_again(tmp_p
     assert not record.exists()
     assert above.sent == 0
     assert ground.arrived == []
+
+
+def test_noise_on_the_link_does_no_harm(tmp_path) -> None:
+    make_outbox(tmp_path / 'outbox', 3)
+    released = digests(tmp_path / 'outbox')
+    with (
+        station(tmp_path / 'down', loss=0.0) as (_, above, below),
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as noise,
+    ):
+        bus, random = Bus(above, TIMEOUT), Random(3)
+        while waiting(tmp_path / 'outbox'):
+            for end in (above, below):
+                noise.sendto(random.randbytes(40), ('127.0.0.1', end.address[1]))
+            assert bus.deliver(tmp_path / 'outbox')
+    assert digests(tmp_path / 'down') == released
 
 
 @pytest.mark.parametrize('name', ['../a', '0/../../a', '/tmp/not_ours'])
