@@ -26,6 +26,8 @@ PEERS = ['supervision>=0.27']
 GEO = ['geopandas>=0.14', 'pyogrio>=0.7']
 PROGRESS = ['tqdm>=4.60']
 LINT = ['mypy>=1.8', 'ruff>=0.6']
+# The second is for pip before 24, which cannot find the version that cfdp-py needs by itself.
+CFDP = ['cfdp-py>=0.7', 'fastcrc~=0.3.0']
 
 setup(
     name=PACKAGE,
@@ -55,7 +57,8 @@ setup(
         'fiona': ['fiona>=1.9'],
         'progress': PROGRESS,
         'test': [
-            'hypothesis>=6.80', 'pytest>=7.4', 'colcon-common-extensions', *GEO, *IMAGES, *LINT,
+            'hypothesis>=6.80', 'pytest>=7.4', 'colcon-common-extensions',
+            *CFDP, *GEO, *IMAGES, *LINT,
         ],
     },
     entry_points={

@@ -313,6 +313,32 @@ def _chips(options: _Options) -> int:
     return 0
 
 
+def _gallery_options(add: _Add) -> None:
+    add('outbox', type=Path, metavar='OUTBOX', help='outbox, or folder that received its files')
+    add('-o', '--output', type=Path, default=Path('out/gallery.html'), help='default: %(default)s')
+    add('--limit', type=int, default=0, metavar='N',
+        help='maximum number of chips to show, the most valuable first; default: 0, all')
+
+
+def _gallery(options: _Options) -> int:
+    """Show what came down: the chips of an outbox, most valuable first, on one HTML page."""
+    from obbhbb_ros.study.gallery import gallery_page
+    from obbhbb_ros.study.gallery import read_received
+
+    # Resolved, as links from one to the other do not lead through symbolic links.
+    outbox, beside = options.outbox.resolve(), options.output.resolve().parent
+    received = read_received(outbox)
+    if not received.chips and not received.problems:
+        raise ValueError(f'{options.outbox}: no chips found')
+    page = gallery_page(received, beside, outbox.name, options.limit)
+    write_text(options.output, page)
+    for problem in received.problems:
+        note(f'obbhbb: {problem}')
+    print(f'{len(received.chips)} chips, {len(received.problems)} problems')
+    print(f'written: {options.output}')
+    return 0
+
+
 # The docstring of the function that runs a command is its help.
 COMMANDS: dict[str, tuple[Callable[[_Add], None], Callable[[_Options], int]]] = {
     'demo': (_demo_options, _demo),
@@ -321,6 +347,7 @@ COMMANDS: dict[str, tuple[Callable[[_Add], None], Callable[[_Options], int]]] = 
     'calibrate': (_calibrate_options, _calibrate),
     'report': (_report_options, _report),
     'chips': (_chips_options, _chips),
+    'gallery': (_gallery_options, _gallery),
 }
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import jinja2
 import numpy as np
 
 from obbhbb_ros.boxes import FloatArray
@@ -24,6 +23,7 @@ from obbhbb_ros.study import paper_table
 from obbhbb_ros.study.calibration import Plan
 from obbhbb_ros.study.cross_validation import run
 from obbhbb_ros.study.metrics import PROTOCOLS
+from obbhbb_ros.study.pages import environment
 from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.rules import TUNABLE_METHODS
 from obbhbb_ros.study.ships import Ships
@@ -66,15 +66,12 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
     scores = evaluation.evaluate(ships, DEFAULT_RULES, protocols, settings)
     synthetic = hulls.synthetic_ships(seed=seed)
     comparison = paper_table.paper_comparison()
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader('obbhbb_ros.study'), autoescape=True,
-        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-    )
-    environment.globals.update(
+    templates = environment()
+    templates.globals.update(
         ALL=evaluation.ALL, PROTOCOLS=PROTOCOLS, RULES=DEFAULT_RULES,
         TUNABLE_METHODS=TUNABLE_METHODS, color_of=drawing.color_of, known_figures=known_figures,
     )
-    return environment.get_template('report.html').render(
+    return templates.get_template('report.html').render(
         title=title,
         rows=[(full, row) for full in hulls.FULLNESS for row in paper_table.PAPER_ROWS],
         ships=ships,

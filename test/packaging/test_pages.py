@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from launch_files import launched
+from outboxes import make_outbox
 
 from obbhbb_ros import cli
 from obbhbb_ros import commands
@@ -186,15 +187,20 @@ def test_a_command_line_of_obbhbb_can_be_parsed(words: list[str]) -> None:
     assert parsed(words)
 
 
+# Input of examples that is made for them.
+MADE = {'received': make_outbox}
+
+
 def runnable() -> list[list[str]]:
-    """Give the examples of `doc/commands.md` whose input the checkout has."""
+    """Give the examples of `doc/commands.md` whose input the checkout has or a test can make."""
     found = []
     for words in commands(ROOT / 'doc' / 'commands.md'):
         if words[0] != 'obbhbb' or words[1] == 'demo' or not (options := parsed(words)):
             continue
-        given = getattr(options, 'source', None) or getattr(options, 'labels', None) or []
+        named = (getattr(options, name, None) for name in ('source', 'labels', 'outbox'))
+        given = next(filter(None, named), [])
         inputs = given if isinstance(given, list) else [given]
-        if all((ROOT / path).exists() for path in inputs):
+        if all((ROOT / path).exists() or str(path) in MADE for path in inputs):
             found.append(words[1:])
     return found
 
@@ -203,6 +209,8 @@ def runnable() -> list[list[str]]:
 def test_an_example_runs(words: list[str], tmp_path: Path, monkeypatch, capsys) -> None:
     for folder in ('test', 'obbhbb_ros'):
         (tmp_path / folder).symlink_to(ROOT / folder)
+    for name in MADE.keys() & set(words):
+        MADE[name](tmp_path / name)
     monkeypatch.chdir(tmp_path)
     assert cli.main(words) == 0
     assert capsys.readouterr().out

@@ -1,0 +1,366 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What came down: the chips of an outbox, or of a folder that received one, as an HTML page.
+
+The page links to the chips, so it stays small and must stay where it is relative to them. Only
+what browsers do not show, JPEG 2000 and 16 bits, is converted and embedded. Needs Jinja2, the extra
+`plots`; converting needs Pillow, the extra `images`.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import math
+import os
+from collections import Counter
+from collections.abc import Callable
+from collections.abc import Iterator
+from dataclasses import dataclass
+from dataclasses import field
+from datetime import datetime
+from datetime import timedelta
+from datetime import timezone
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.labels.images import opened_image
+from obbhbb_ros.study.pages import environment
+from obbhbb_ros.study.progress import track
+
+SUFFIXES = {'jpeg': '.jpg', 'png': '.png', 'webp': '.webp', 'jpeg2000': '.jp2'}
+"""Suffix of the chip file by codec."""
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+# Longer side of an embedded picture, pixels.
+_EMBEDDED = 256
+# Share of pixels that may become black or white when 16 bits are stretched, percent.
+_CLIPPED = 0.5
+# Where the header of a PNG states the bits per channel.
+_PNG_DEPTH = 24
+
+
+@dataclass(frozen=True)
+class Chip:
+    """
+    A chip and the facts in its JSON.
+
+    Attributes
+    ----------
+    path : Path
+        The chip file, whether it is there or not.
+    facts : dict
+        Content of the JSON: all keys, each of the right type.
+    damage : str
+        What is wrong with the chip file, empty if nothing is.
+    size : int or None
+        Bytes of the chip file, None if it is missing.
+    """
+
+    path: Path
+    facts: dict[str, Any]
+    damage: str
+    size: int | None
+
+    @property
+    def rank(self) -> tuple[float, int, int, str]:
+        """Sort key: the most valuable first, then the oldest."""
+        stamp = self.facts['stamp']
+        return -self.facts['value'], stamp['sec'], stamp['nanosec'], self.facts['id']
+
+
+@dataclass
+class Received:
+    """
+    What a folder holds.
+
+    Attributes
+    ----------
+    chips : list of Chip
+        The chips that have a usable JSON, most valuable first.
+    problems : list of str
+        What is wrong, a line each; starts with the name of the file.
+    """
+
+    chips: list[Chip] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+
+def read_received(folder: Path) -> Received:
+    """
+    Read the chips of an outbox, or of any folder that received one, and check their files.
+
+    All folders in it are searched; names that begin with a dot are left out, as files are not
+    complete under such names. Raises NotADirectoryError if there is no such folder.
+    """
+    if not folder.is_dir():
+        raise NotADirectoryError(f'{folder}: no such folder')
+    received = Received()
+    files = sorted(_files(folder, received.problems))
+    named = set()
+    for path in track([each for each in files if each.suffix == '.json'], 'reading'):
+        shown = _printable(str(path.relative_to(folder)))
+        try:
+            chip = _checked(path)
+        except (OSError, ValueError, RecursionError) as error:
+            received.problems.append(f'{shown}: {_printable(str(error))}')
+            continue
+        named.add(chip.path)
+        received.chips.append(chip)
+        if chip.damage:
+            name = _printable(str(chip.path.relative_to(folder)))
+            received.problems.append(f'{name}: {chip.damage}')
+    received.chips.sort(key=lambda chip: chip.rank)
+    orphans = [each for each in files if each.suffix in SUFFIXES.values() and each not in named]
+    if orphans:
+        first = _printable(str(orphans[0].relative_to(folder)))
+        received.problems.append(f'{first}: no usable JSON; {len(orphans)} such files in all')
+    return received
+
+
+def gallery_page(received: Received, beside: Path, title: str, limit: int = 0) -> str:
+    """
+    Return the page, as HTML; pictures that cannot be converted join `received.problems`.
+
+    Parameters
+    ----------
+    received : Received
+        The chips.
+    beside : Path
+        Folder that the page will be in.
+    title : str
+        Name of the data.
+    limit : int
+        Maximum number of chips to show, 0 for all.
+
+    Raises
+    ------
+    ValueError
+        If `limit` is negative.
+    ModuleNotFoundError
+        If a chip must be converted and Pillow is not installed.
+    """
+    if limit < 0:
+        raise ValueError(f'limit must be 0 or more, not {limit}')
+    chips = received.chips[:limit] if limit else received.chips
+    classes = Counter(_printable(chip.facts['class_id']) for chip in received.chips)
+    numbers = {class_id: number for number, (class_id, _) in enumerate(classes.most_common())}
+    cards = [
+        _card(chip, numbers, beside, received.problems) for chip in track(chips, 'drawing')
+    ]
+    stamps = sorted((chip.facts['stamp'] for chip in received.chips), key=_instant)
+    return environment().get_template('gallery.html').render(
+        title=_printable(title),
+        total=len(received.chips),
+        classes=classes.most_common(),
+        span=[_utc(stamp) for stamp in (stamps[0], stamps[-1])] if stamps else [],
+        size=sum(chip.size or 0 for chip in received.chips),
+        problems=received.problems,
+        cards=cards,
+    )
+
+
+def _files(folder: Path, problems: list[str]) -> Iterator[Path]:
+    """Find the regular files in a folder and all below it."""
+    def report(error: OSError) -> None:
+        problems.append(_printable(str(error)))
+
+    for place, folders, names in os.walk(folder, onerror=report):
+        folders[:] = [name for name in folders if not name.startswith('.')]
+        for name in names:
+            path = Path(place, name)
+            # Reading a pipe would never end.
+            if not name.startswith('.') and path.is_file():
+                yield path
+
+
+def _checked(path: Path) -> Chip:
+    """Read a JSON and check its chip file; ValueError if the JSON cannot be used."""
+    facts = json.loads(path.read_text(encoding='utf-8'))
+    if not isinstance(facts, dict):
+        raise ValueError('not a JSON object')
+    for key, (meaning, is_right) in _KEYS.items():
+        if key not in facts:
+            raise ValueError(f"key '{key}' is missing")
+        if not is_right(facts[key]):
+            raise ValueError(f"key '{key}' is not {meaning}")
+    chip = path.with_suffix(SUFFIXES[facts['codec']])
+    return Chip(chip, facts, *_damage(chip, facts))
+
+
+def _damage(chip: Path, facts: dict[str, Any]) -> tuple[str, int | None]:
+    """Say what is wrong with a chip file, and give its size."""
+    if not chip.is_file():
+        return 'missing', None
+    size = chip.stat().st_size
+    if size != facts['bytes']:
+        return f'damaged: {size} bytes instead of {facts["bytes"]}', size
+    if sha256(chip.read_bytes()).hexdigest() != facts['sha256'].lower():
+        return 'damaged: sha256 differs', size
+    return '', size
+
+
+# Checks of the keys ---------------------------------------------------------------------------
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_whole(value: Any, least: int = 0, most: int = 2**32 - 1) -> bool:
+    return type(value) is int and least <= value <= most
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) < 1e300
+
+
+def _is_list(count: int | None, is_right: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    """Return a check for a list of `count` values, None for any number."""
+    return lambda value: (
+        isinstance(value, list) and count in (None, len(value)) and all(map(is_right, value))
+    )
+
+
+def _or_null(is_right: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda value: value is None or is_right(value)
+
+
+def _is_stamp(value: Any) -> bool:
+    return isinstance(value, dict) and _is_whole(value.get('sec')) and _is_whole(
+        value.get('nanosec'), most=10**9 - 1
+    )
+
+
+def _is_roi(value: Any) -> bool:
+    return _is_list(4, _is_whole)(value) and min(value[2:]) > 0
+
+
+def _is_size(value: Any) -> bool:
+    return _is_list(2, _is_whole)(value) and min(value) > 0
+
+
+_KEYS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    'id': ('a text', _is_text),
+    'stamp': ('sec and nanosec', _is_stamp),
+    'frame_id': ('a text', _is_text),
+    'roi': ('x, y, width and height in whole pixels', _is_roi),
+    'image_size': ('width and height in whole pixels', _is_size),
+    'class_id': ('a text', _is_text),
+    'score': ('a number or null', _or_null(_is_number)),
+    'value': ('a number', _is_number),
+    'detection_ids': ('a list of texts', _is_list(None, _is_text)),
+    'obb': ('five numbers or null', _or_null(_is_list(5, _is_number))),
+    'codec': (f'one of {", ".join(SUFFIXES)}', lambda value: value in list(SUFFIXES)),
+    'bytes': ('a whole number', _is_whole),
+    'sha256': ('a text', _is_text),
+    'camera_matrix': ('nine numbers or null', _or_null(_is_list(9, _is_number))),
+}
+
+
+# Cards ----------------------------------------------------------------------------------------
+
+def _card(
+    chip: Chip, numbers: dict[str, int], beside: Path, problems: list[str]
+) -> dict[str, Any]:
+    """Collect what the template shows of a chip."""
+    facts = chip.facts
+    class_id = _printable(facts['class_id'])
+    link = quote(os.fsencode(os.path.relpath(chip.path, beside)))
+    return {
+        'id': _printable(facts['id']),
+        'class_id': class_id,
+        'class_number': numbers[class_id],
+        'score': facts['score'],
+        'value': facts['value'],
+        'time': _utc(facts['stamp']),
+        'stamp': '{sec}.{nanosec:09d}'.format(**facts['stamp']),
+        'frame_id': _printable(facts['frame_id']),
+        'detections': len(facts['detection_ids']),
+        'roi': facts['roi'],
+        'image_size': facts['image_size'],
+        'corners': _corners(facts['obb']),
+        'damage': chip.damage,
+        'link': link,
+        'picture': _picture(chip, link, problems),
+    }
+
+
+def _corners(obb: list[float] | None) -> list[list[float]]:
+    """Compute the corners of an oriented box; none if it has no area."""
+    if obb is None:
+        return []
+    boxes = OrientedBoxes.from_xywhr([obb])
+    return boxes.corners[0].tolist() if boxes.valid[0] else []
+
+
+def _picture(chip: Chip, link: str, problems: list[str]) -> str | None:
+    """Give the source of a chip's picture: the file, or its content if it has to be converted."""
+    if chip.size is None:
+        return None
+    if not _needs_conversion(chip):
+        return link
+    try:
+        return _converted(chip)
+    except ImportError:
+        raise
+    except Exception as error:
+        # Any exception: Pillow's readers raise whatever a damaged file leads them to.
+        problems.append(f'{_printable(chip.path.name)}: no picture ({_printable(str(error))})')
+        return None
+
+
+def _needs_conversion(chip: Chip) -> bool:
+    """Say whether browsers do not show a chip, or show its 16 bits too dark."""
+    if chip.facts['codec'] != 'png':
+        return bool(chip.facts['codec'] == 'jpeg2000')
+    with chip.path.open('rb') as stream:
+        return stream.read(_PNG_DEPTH + 1)[_PNG_DEPTH:] == b'\x10'
+
+
+def _converted(chip: Chip) -> str:
+    """Convert a chip to a small JPEG in a data URL; ValueError if it has not the size it should."""
+    from PIL import Image
+
+    with opened_image(chip.path) as stored:
+        if list(stored.size) != chip.facts['roi'][2:]:
+            raise ValueError('not {} x {} pixels, but {} x {}'.format(
+                *chip.facts['roi'][2:], *stored.size
+            ))
+        pixels = np.asarray(stored)
+    picture = Image.fromarray(pixels if pixels.dtype == np.uint8 else _stretched(pixels))
+    picture = picture.convert('L' if pixels.ndim == 2 else 'RGB')
+    picture.thumbnail((_EMBEDDED, _EMBEDDED))
+    file = io.BytesIO()
+    picture.save(file, 'jpeg', quality=80)
+    return f'data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}'
+
+
+def _stretched(pixels: NDArray[Any]) -> NDArray[np.uint8]:
+    """Stretch the range of values that occur to 8 bits."""
+    low, high = np.percentile(pixels, (_CLIPPED, 100.0 - _CLIPPED))
+    scaled = (pixels - low) * (255.0 / max(high - low, 1.0))
+    return np.clip(scaled, 0.0, 255.0).astype(np.uint8)
+
+
+# Texts ----------------------------------------------------------------------------------------
+
+def _instant(stamp: dict[str, int]) -> tuple[int, int]:
+    return stamp['sec'], stamp['nanosec']
+
+
+def _utc(stamp: dict[str, int]) -> str:
+    """Write a stamp as date and time of day, to the millisecond."""
+    whole = _EPOCH + timedelta(seconds=stamp['sec'])
+    return f'{whole:%Y-%m-%d %H:%M:%S}.{math.floor(stamp["nanosec"] / 1e6):03d} UTC'
+
+
+def _printable(text: str) -> str:
+    """Escape what a terminal or a UTF-8 file could not take."""
+    return ''.join(each if each.isprintable() else ascii(each)[1:-1] for each in text)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An outbox of chips, as `downlink` leaves it for the bus, cut from the synthetic harbour."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from obbhbb_ros import OrientedBoxes
+from obbhbb_ros import convert
+from obbhbb_ros.downlink.chips import CodecSettings
+from obbhbb_ros.downlink.chips import encode
+from obbhbb_ros.downlink.crops import CropSettings
+from obbhbb_ros.downlink.crops import plan_crops
+from obbhbb_ros.files import replacing
+from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.study.chip_costs import render
+from obbhbb_ros.study.harbour import harbour
+
+SUFFIXES = {'jpeg': '.jpg', 'png': '.png', 'webp': '.webp', 'jpeg2000': '.jp2'}
+FIRST_STAMP = 1764285402
+# Chips worth less go to the next folder.
+LEVELS = (0.8, 0.5)
+
+
+def make_outbox(folder: Path, count: int = 24, codec: str = 'jpeg', depth: int = 8) -> list[Path]:
+    """Fill an outbox with chips of as many frames as that takes; return the JSON files."""
+    made = []
+    frame = 0
+    while len(made) < count:
+        for facts, chip in _chips_of(frame, codec, depth):
+            if len(made) < count:
+                made.append(put(folder, facts, chip))
+        frame += 1
+    return made
+
+
+def put(folder: Path, facts: dict[str, Any], chip: bytes) -> Path:
+    """Put a chip and its facts into an outbox, the JSON last; return the JSON file."""
+    level = sum(facts['value'] < least for least in LEVELS)
+    path = folder / str(level) / f'{facts["id"]}{SUFFIXES[facts["codec"]]}'
+    with replacing(path) as partial:
+        partial.write_bytes(chip)
+    with replacing(path.with_suffix('.json')) as partial:
+        partial.write_text(json.dumps(facts), encoding='utf-8')
+    return path.with_suffix('.json')
+
+
+def a_chip(codec: str = 'jpeg', **facts: Any) -> tuple[dict[str, Any], bytes]:
+    """Give the most valuable chip of the first frame, with some facts changed."""
+    first, chip = next(_chips_of(0, codec, 8))
+    return first | facts, chip
+
+
+def _chips_of(frame: int, codec: str, depth: int) -> Iterator[tuple[dict[str, Any], bytes]]:
+    """Cut one frame, most valuable first; each frame has other scores."""
+    labels, pixels = _scene(depth)
+    boxes = OrientedBoxes.from_corners(labels.corners)
+    scores = np.random.default_rng(frame).uniform(0.25, 1.0, len(boxes)).round(3)
+    plan = plan_crops(convert(boxes), scores, labels.size, CropSettings(padding=0.1))
+    settings = CodecSettings(codec)
+    for number, (region, rows) in enumerate(zip(plan.regions, plan.groups(), strict=True)):
+        (x0, y0, x1, y1), first = region.tolist(), rows[0]
+        chip = encode(pixels[y0:y1, x0:x1], settings)
+        second, nanosecond = FIRST_STAMP + 5 * frame, 123456789
+        shape = *boxes.center[:, first], *(
+            each[first] for each in (boxes.length, boxes.width, boxes.theta)
+        )
+        yield {
+            'id': f'{second}_{nanosecond}_3fa9c2_{number}',
+            'stamp': {'sec': second, 'nanosec': nanosecond},
+            'frame_id': 'camera',
+            'roi': [x0, y0, x1 - x0, y1 - y0],
+            'image_size': list(labels.size),
+            'class_id': labels.class_ids[first],
+            'score': float(scores[first]),
+            'value': float(scores[rows].sum()),
+            'detection_ids': [labels.ids[row] for row in rows],
+            'obb': [float(number) for number in shape],
+            'codec': codec,
+            'bytes': len(chip),
+            'sha256': sha256(chip).hexdigest(),
+            'camera_matrix': None,
+        }, chip
+
+
+@cache
+def _scene(depth: int) -> tuple[ImageLabels, NDArray[Any]]:
+    """Draw the harbour, in colours of 8 bits or in grey of 12 bits in 16."""
+    labels = harbour()
+    pixels = render(labels)
+    return labels, pixels if depth == 8 else pixels[..., :1].astype(np.uint16) * 16
