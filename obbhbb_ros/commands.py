@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import argparse
 import gc
+import json
+import math
 import shlex
 import sys
 from collections.abc import Callable
@@ -19,6 +21,8 @@ import numpy as np
 from obbhbb_ros import converter
 from obbhbb_ros import labels
 from obbhbb_ros.downlink.crops import CropSettings
+from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.downlink.spool import intact_chips
 from obbhbb_ros.files import write_text
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import images
@@ -30,6 +34,7 @@ from obbhbb_ros.study import chip_costs
 from obbhbb_ros.study import cross_validation
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import rules
+from obbhbb_ros.study import spools
 from obbhbb_ros.study import tables
 from obbhbb_ros.study.grid_search import GRIDS
 from obbhbb_ros.study.harbour import harbour
@@ -339,6 +344,97 @@ def _gallery(options: _Options) -> int:
     return 0
 
 
+def _spool_options(add: _Add) -> None:
+    add('spool', type=Path, metavar='PATH',
+        help='folder of the spool; for export also a damaged catalogue, chips_*.sqlite3')
+    add('action', nargs='?', default='list', choices=tuple(SPOOL_ACTIONS),
+        help=' '.join(f'{name}: {each.__doc__}' for name, each in SPOOL_ACTIONS.items())
+        + ' Default: %(default)s')
+    add('--class', dest='class_ids', nargs='+', default=(), metavar='CLASS',
+        help='only chips of these classes')
+    add('--id', dest='ids', nargs='+', default=(), metavar='ID', help='only these chips')
+    add('--min-value', type=float, default=-math.inf, metavar='V', help='only chips of this value '
+        'or more')
+    add('--max-value', type=float, default=math.inf, metavar='V', help='only chips of this value '
+        'or less')
+    add('--all', action='store_true', help='delete or revalue all chips, without a condition')
+    add('--limit', type=int, default=20, metavar='N',
+        help='list: maximum number of chips (0: all); default: %(default)s')
+    add('--json', action='store_true', help='list: print JSON')
+    add('--to', type=float, metavar='V', help='revalue: the new value')
+    add('--by', type=float, metavar='F', help='revalue: factor on the value')
+    add('-o', '--output', type=Path, default=Path('out/chips'),
+        help='export: folder to write to; default: %(default)s')
+
+
+def _spool(options: _Options) -> int:
+    """List, check, revalue, delete or export the chips of a spool."""
+    condition = spools.Condition(
+        options.class_ids, options.ids, options.min_value, options.max_value
+    )
+    if options.spool.is_file() and options.action == 'export':
+        print(f'{spools.export(intact_chips(options.spool), options.output)} chips exported')
+        return 0
+    if options.action in ('delete', 'revalue') and condition.is_any and not options.all:
+        raise ValueError(f'{options.action}: which chips? Give a condition, or --all')
+    spool = spools.open_spool(options.spool)
+    try:
+        return SPOOL_ACTIONS[options.action](spool, condition, options)
+    finally:
+        spool.close()
+
+
+def _list_spool(spool: Spool, condition: spools.Condition, options: _Options) -> int:
+    """Show the books, and the chips that are released next."""
+    chips, status = spool.select(*condition.sql(), options.limit or -1), spool.status()
+    if options.json:
+        print(json.dumps(spools.as_json(status, chips), indent=1, ensure_ascii=False))
+    else:
+        print(spools.status_text(status) + '\n\n' + spools.chip_table(chips))
+    return 0
+
+
+def _check_spool(spool: Spool, condition: spools.Condition, options: _Options) -> int:
+    """Check catalogue, books and files."""
+    wrong = list(spools.wrong_with(spool))
+    print('\n'.join(wrong) or f'{options.spool} is in order')
+    return 1 if wrong else 0
+
+
+def _revalue_spool(spool: Spool, condition: spools.Condition, options: _Options) -> int:
+    """Give waiting chips another value, and so another place in the order."""
+    if (options.to is None) == (options.by is None):
+        raise ValueError('revalue: give either --to or --by')
+    factor, addend = (0.0, options.to) if options.by is None else (options.by, 0.0)
+    if not math.isfinite(factor + addend):
+        raise ValueError('revalue: the value must be finite')
+    print(f'{spool.revalue(*condition.sql(), factor, addend)} chips revalued')
+    return 0
+
+
+def _delete_from_spool(spool: Spool, condition: spools.Condition, options: _Options) -> int:
+    """Delete waiting chips."""
+    print(f'{spool.delete(*condition.sql())} chips deleted')
+    return 0
+
+
+def _export_spool(spool: Spool, condition: spools.Condition, options: _Options) -> int:
+    """Write chips and their JSON to a folder, and leave them in the spool."""
+    chips = spools.files_of(spool, spool.select(*condition.sql()))
+    print(f'{spools.export(chips, options.output)} chips exported')
+    return 0
+
+
+# The docstring of the function that carries out an action is its help.
+SPOOL_ACTIONS: dict[str, Callable[[Spool, spools.Condition, _Options], int]] = {
+    'list': _list_spool,
+    'check': _check_spool,
+    'revalue': _revalue_spool,
+    'delete': _delete_from_spool,
+    'export': _export_spool,
+}
+
+
 # The docstring of the function that runs a command is its help.
 COMMANDS: dict[str, tuple[Callable[[_Add], None], Callable[[_Options], int]]] = {
     'demo': (_demo_options, _demo),
@@ -348,6 +444,7 @@ COMMANDS: dict[str, tuple[Callable[[_Add], None], Callable[[_Options], int]]] = 
     'report': (_report_options, _report),
     'chips': (_chips_options, _chips),
     'gallery': (_gallery_options, _gallery),
+    'spool': (_spool_options, _spool),
 }
 
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from functools import cache
 from hashlib import sha256
@@ -15,16 +14,18 @@ from numpy.typing import NDArray
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
+from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import encode
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.crops import plan_crops
-from obbhbb_ros.files import replacing
+from obbhbb_ros.downlink.outbox import JSON_SUFFIX
+from obbhbb_ros.downlink.outbox import Outbox
+from obbhbb_ros.downlink.outbox import level_of
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.study.chip_costs import render
 from obbhbb_ros.study.harbour import harbour
 
-SUFFIXES = {'jpeg': '.jpg', 'png': '.png', 'webp': '.webp', 'jpeg2000': '.jp2'}
 FIRST_STAMP = 1764285402
 # Chips worth less go to the next folder.
 LEVELS = (0.8, 0.5)
@@ -43,14 +44,10 @@ def make_outbox(folder: Path, count: int = 24, codec: str = 'jpeg', depth: int =
 
 
 def put(folder: Path, facts: dict[str, Any], chip: bytes) -> Path:
-    """Put a chip and its facts into an outbox, the JSON last; return the JSON file."""
-    level = sum(facts['value'] < least for least in LEVELS)
-    path = folder / str(level) / f'{facts["id"]}{SUFFIXES[facts["codec"]]}'
-    with replacing(path) as partial:
-        partial.write_bytes(chip)
-    with replacing(path.with_suffix('.json')) as partial:
-        partial.write_text(json.dumps(facts), encoding='utf-8')
-    return path.with_suffix('.json')
+    """Put a chip and its facts into an outbox; return the JSON file."""
+    level = level_of(facts['value'], LEVELS)
+    Outbox(folder).put(facts['id'], CODECS[facts['codec']].suffix, chip, facts, level)
+    return folder / str(level) / f'{facts["id"]}{JSON_SUFFIX}'
 
 
 def a_chip(codec: str = 'jpeg', **facts: Any) -> tuple[dict[str, Any], bytes]:

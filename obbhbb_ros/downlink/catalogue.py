@@ -77,11 +77,6 @@ class Catalogue:
         self.tag = ''
 
     @property
-    def file_bytes(self) -> int:
-        """Size of the open database."""
-        return self._path.stat().st_size
-
-    @property
     def set_aside(self) -> int:
         """Number of damaged databases in the folder."""
         return len(list(self._folder.glob(f'*{DAMAGED}')))

@@ -25,6 +25,7 @@ from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
 from contextlib import contextmanager
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -383,7 +384,7 @@ class Spool:
                 waiting_bytes=totals[WAITING][1] + totals[CLAIMED][1],
                 in_outbox=totals[RELEASED][0],
                 in_work=in_work,
-                file_bytes=self._catalogue.file_bytes,
+                file_bytes=_pragma(rows, 'page_count') * _pragma(rows, 'page_size'),
                 set_aside=self._catalogue.set_aside,
                 counts=dict(rows.execute('SELECT name, count FROM books').fetchall()),
             )
@@ -406,12 +407,12 @@ class Spool:
         )
         return None if row is None else row[0]
 
-    def revalue(self, where: str, values: Sequence[Any], scale: float, offset: float) -> int:
+    def revalue(self, where: str, values: Sequence[Any], factor: float, addend: float) -> int:
         """Change the value of waiting chips that meet a condition; return how many."""
         def work(rows: sqlite3.Cursor) -> int:
             rows.execute(
                 f'UPDATE chips SET value = value * ? + ? WHERE state = ? AND {where}',
-                (scale, offset, WAITING, *values),
+                (factor, addend, WAITING, *values),
             )
             return rows.rowcount
 
@@ -569,11 +570,8 @@ def _deliver(rows: sqlite3.Cursor, key: str, values: Sequence[Any]) -> None:
 
 def _evict(rows: sqlite3.Cursor, max_bytes: float) -> None:
     """Delete the least valuable chips, the oldest of equals first, until the rest has room."""
-    def pragma(name: str) -> int:
-        return int(rows.execute(f'PRAGMA {name}').fetchone()[0])
-
-    evicted, most = 0, max_bytes / pragma('page_size')
-    while pragma('page_count') - pragma('freelist_count') > most:
+    evicted, most = 0, max_bytes / _pragma(rows, 'page_size')
+    while _pragma(rows, 'page_count') - _pragma(rows, 'freelist_count') > most:
         rows.execute(
             'DELETE FROM chips WHERE seq = (SELECT seq FROM chips WHERE state = ? '
             'ORDER BY value, seq LIMIT 1)', (WAITING,),
@@ -583,5 +581,42 @@ def _evict(rows: sqlite3.Cursor, max_bytes: float) -> None:
         evicted += 1
     _book(rows, 'evicted.max_bytes', evicted)
     # Free pages are used again; only those far beyond a limit that was lowered go to the disk.
-    if pragma('page_count') > _SLACK * most:
+    if _pragma(rows, 'page_count') > _SLACK * most:
         rows.execute(f'PRAGMA incremental_vacuum({_PAGES_GIVEN_BACK})').fetchall()
+
+
+def _pragma(rows: sqlite3.Cursor, name: str) -> int:
+    """Ask SQLite for a number."""
+    return int(rows.execute(f'PRAGMA {name}').fetchone()[0])
+
+
+def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
+    """
+    Read what can be read of a damaged catalogue: from its start, and back from its end.
+
+    Parameters
+    ----------
+    path : Path
+        The SQLite file.
+
+    Yields
+    ------
+    (StoredChip, bytes)
+        Chips whose file is the one that was stored.
+    """
+    database = sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro', uri=True)
+    seen: set[int] = set()
+    try:
+        for order in ('ASC', 'DESC'):
+            with suppress(sqlite3.DatabaseError):
+                for data, *fields in database.execute(
+                    f'SELECT data, {_COLUMNS} FROM chips ORDER BY seq {order}'
+                ):
+                    chip = StoredChip(*fields)
+                    if chip.seq in seen:
+                        break
+                    seen.add(chip.seq)
+                    if data is not None and is_intact(chip.describe(), data):
+                        yield chip, data
+    finally:
+        database.close()

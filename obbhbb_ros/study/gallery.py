@@ -31,13 +31,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.labels.images import opened_image
 from obbhbb_ros.study.pages import environment
 from obbhbb_ros.study.progress import track
 
-SUFFIXES = {'jpeg': '.jpg', 'png': '.png', 'webp': '.webp', 'jpeg2000': '.jp2'}
-"""Suffix of the chip file by codec."""
-
+_SUFFIXES = {f'.{codec.suffix}' for codec in CODECS.values()}
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 # Longer side of an embedded picture, pixels.
 _EMBEDDED = 256
@@ -118,7 +117,7 @@ def read_received(folder: Path) -> Received:
             name = _printable(str(chip.path.relative_to(folder)))
             received.problems.append(f'{name}: {chip.damage}')
     received.chips.sort(key=lambda chip: chip.rank)
-    orphans = [each for each in files if each.suffix in SUFFIXES.values() and each not in named]
+    orphans = [each for each in files if each.suffix in _SUFFIXES and each not in named]
     if orphans:
         first = _printable(str(orphans[0].relative_to(folder)))
         received.problems.append(f'{first}: no usable JSON; {len(orphans)} such files in all')
@@ -191,7 +190,7 @@ def _checked(path: Path) -> Chip:
             raise ValueError(f"key '{key}' is missing")
         if not is_right(facts[key]):
             raise ValueError(f"key '{key}' is not {meaning}")
-    chip = path.with_suffix(SUFFIXES[facts['codec']])
+    chip = path.with_suffix(f'.{CODECS[facts["codec"]].suffix}')
     return Chip(chip, facts, *_damage(chip, facts))
 
 
@@ -257,7 +256,7 @@ _KEYS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     'value': ('a number', _is_number),
     'detection_ids': ('a list of texts', _is_list(None, _is_text)),
     'obb': ('five numbers or null', _or_null(_is_list(5, _is_number))),
-    'codec': (f'one of {", ".join(SUFFIXES)}', lambda value: value in list(SUFFIXES)),
+    'codec': (f'one of {", ".join(CODECS)}', lambda value: value in list(CODECS)),
     'bytes': ('a whole number', _is_whole),
     'sha256': ('a text', _is_text),
     'camera_matrix': ('nine numbers or null', _or_null(_is_list(9, _is_number))),

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A spool for people: its books, its chips, what is wrong with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from collections.abc import Iterator
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from obbhbb_ros.downlink.catalogue import files
+from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.downlink.outbox import Outbox
+from obbhbb_ros.downlink.spool import CLAIMED
+from obbhbb_ros.downlink.spool import RELEASED
+from obbhbb_ros.downlink.spool import WAITING
+from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.downlink.spool import Status
+from obbhbb_ros.downlink.spool import StoredChip
+from obbhbb_ros.downlink.spool import is_intact
+from obbhbb_ros.study.progress import note
+from obbhbb_ros.study.progress import track
+
+STATES = {WAITING: 'waiting', CLAIMED: 'being released', RELEASED: 'in outbox'}
+
+
+@dataclass(frozen=True)
+class Condition:
+    """
+    Which chips of a spool are meant; all conditions must hold.
+
+    Attributes
+    ----------
+    class_ids, ids : sequence of str
+        Classes and ids of chips (empty: any).
+    min_value, max_value : float
+        Bounds of the value, both included.
+    """
+
+    class_ids: Sequence[str] = ()
+    ids: Sequence[str] = ()
+    min_value: float = -math.inf
+    max_value: float = math.inf
+
+    @property
+    def is_any(self) -> bool:
+        """Whether every chip is meant."""
+        return self == Condition()
+
+    def sql(self) -> tuple[str, list[Any]]:
+        """Return the condition as SQL, and its values."""
+        clauses, values = ['value >= ?', 'value <= ?'], [self.min_value, self.max_value]
+        found: list[Any] = list(values)
+        for column, wanted in (('class_id', self.class_ids), ('id', self.ids)):
+            if wanted:
+                clauses.append(f'{column} IN ({", ".join("?" * len(wanted))})')
+                found += wanted
+        return ' AND '.join(clauses), found
+
+
+def open_spool(folder: Path) -> Spool:
+    """Open a spool that exists; ValueError if there is none."""
+    if not files(folder):
+        raise ValueError(f'{folder} is no spool: it has no file chips_*.sqlite3')
+    return Spool(folder, note)
+
+
+def status_text(status: Status) -> str:
+    """Write the books of a spool."""
+    def reasons(kind: str) -> str:
+        found = [
+            f'{name.partition(".")[2]} {count}'
+            for name, count in sorted(status.counts.items()) if name.startswith(f'{kind}.')
+        ]
+        return f'{status.total(kind)}' + (f' ({", ".join(found)})' if found else '')
+
+    planned, delivered = (status.counts.get(name, 0) for name in ('planned', 'delivered'))
+    lines = [
+        f'planned    {planned}',
+        f'waiting    {status.waiting} ({status.waiting_bytes / 1e6:.1f} MB)',
+        f'in outbox  {status.in_outbox}',
+        f'delivered  {delivered}',
+        f'evicted    {reasons("evicted")}',
+        f'refused    {reasons("refused")}',
+    ]
+    if status.in_work:
+        lines.append(f'in work    {status.in_work}')
+    if status.set_aside:
+        lines.append(f'{status.set_aside} damaged catalogues set aside')
+    if status.balance:
+        lines.append(f'The books do not balance: {status.balance} chips are unaccounted for')
+    return '\n'.join(lines)
+
+
+def chip_table(chips: Iterable[StoredChip]) -> str:
+    """Write chips as a table, in the order of their release."""
+    rows = [('id', 'class', 'value', 'kB', 'state')]
+    rows += [
+        (chip.id, chip.class_id, f'{chip.value:.3f}', f'{chip.bytes / 1e3:.1f}',
+         STATES[chip.state])
+        for chip in chips
+    ]
+    widths = [max(len(row[i]) for row in rows) for i in range(5)]
+    return '\n'.join(
+        '  '.join(
+            cell.rjust(width) if i in (2, 3) else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    )
+
+
+def as_json(status: Status, chips: Iterable[StoredChip]) -> Mapping[str, Any]:
+    """Give books and chips for a JSON file."""
+    return {
+        'waiting': status.waiting,
+        'waiting_bytes': status.waiting_bytes,
+        'in_outbox': status.in_outbox,
+        'in_work': status.in_work,
+        'set_aside': status.set_aside,
+        'counts': dict(status.counts),
+        'chips': [{**chip.describe(), 'state': STATES[chip.state]} for chip in chips],
+    }
+
+
+def wrong_with(spool: Spool) -> Iterator[str]:
+    """Check structure, books and the file of every chip; tell what is wrong."""
+    yield from spool.integrity()
+    if balance := spool.status().balance:
+        yield f'the books do not balance: {balance} chips are unaccounted for'
+    for chip in track(spool.select(), 'checking'):
+        data = spool.data(chip.seq)
+        if data is not None and not is_intact(chip.describe(), data):
+            yield f'{chip.id}: its file is damaged'
+
+
+def export(chips: Iterable[tuple[StoredChip, bytes]], folder: Path) -> int:
+    """Write chips with their JSON to a folder, as to an outbox; return how many."""
+    outbox, count = Outbox(folder), 0
+    for chip, data in chips:
+        description = chip.describe()
+        outbox.put(chip.id, CODECS[description['codec']].suffix, data, description, level=0)
+        count += 1
+    return count
+
+
+def files_of(spool: Spool, chips: Iterable[StoredChip]) -> Iterator[tuple[StoredChip, bytes]]:
+    """Read the files of chips, those apart that are in the outbox already."""
+    for chip in chips:
+        data = spool.data(chip.seq)
+        if data is not None:
+            yield chip, data
