@@ -181,6 +181,8 @@ class Catalogue:
         )
         try:
             rows = database.cursor()
+            # Chips of a few kB fill such pages well.
+            rows.execute('PRAGMA page_size = 8192')
             rows.execute('PRAGMA auto_vacuum = INCREMENTAL')
             rows.execute('PRAGMA journal_mode = WAL')
             # On disk, not only handed to the system, when a transaction ends.

@@ -40,6 +40,8 @@ T = TypeVar('T')
 _VERSION = 1
 # Times the maximum size that the file of a catalogue may have.
 _SLACK = 1.1
+# Chips that are evicted in one transaction: a lower limit is reached in several.
+_MOST_EVICTED = 1000
 # Free pages that are given back to the disk in one transaction.
 _PAGES_GIVEN_BACK = 1000
 
@@ -58,8 +60,7 @@ CREATE TABLE chips (
     facts TEXT NOT NULL,
     data BLOB
 );
-CREATE INDEX chips_to_release ON chips (state, value DESC, seq);
-CREATE INDEX chips_to_evict ON chips (state, value, seq);
+CREATE INDEX chips_in_order ON chips (state, value DESC, seq);
 CREATE TABLE frames (
     number INTEGER PRIMARY KEY AUTOINCREMENT, writer INTEGER NOT NULL, chips INTEGER NOT NULL
 );
@@ -396,7 +397,7 @@ class Spool:
     ) -> list[StoredChip]:
         """List chips that meet an SQL condition, in the order of their release."""
         return [StoredChip(*row) for row in self._catalogue.run(lambda rows: rows.execute(
-            f'SELECT {_COLUMNS} FROM chips WHERE {where} ORDER BY state DESC, value DESC, seq '
+            f'SELECT {_COLUMNS} FROM chips WHERE {where} ORDER BY state, value DESC, seq '
             'LIMIT ?', (*values, most)
         ).fetchall())]
 
@@ -569,16 +570,17 @@ def _deliver(rows: sqlite3.Cursor, key: str, values: Sequence[Any]) -> None:
 
 
 def _evict(rows: sqlite3.Cursor, max_bytes: float) -> None:
-    """Delete the least valuable chips, the oldest of equals first, until the rest has room."""
+    """Delete the least valuable chips, the oldest of equals first, to make room for the rest."""
     evicted, most = 0, max_bytes / _pragma(rows, 'page_size')
     while _pragma(rows, 'page_count') - _pragma(rows, 'freelist_count') > most:
+        # Two questions that the one index answers.
         rows.execute(
-            'DELETE FROM chips WHERE seq = (SELECT seq FROM chips WHERE state = ? '
-            'ORDER BY value, seq LIMIT 1)', (WAITING,),
+            'DELETE FROM chips WHERE seq = (SELECT seq FROM chips WHERE state = ?1 AND value = '
+            '(SELECT min(value) FROM chips WHERE state = ?1) ORDER BY seq LIMIT 1)', (WAITING,),
         )
-        if not rows.rowcount:
+        evicted += rows.rowcount
+        if not rows.rowcount or evicted == _MOST_EVICTED:
             break
-        evicted += 1
     _book(rows, 'evicted.max_bytes', evicted)
     # Free pages are used again; only those far beyond a limit that was lowered go to the disk.
     if _pragma(rows, 'page_count') > _SLACK * most:
