@@ -1,52 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch conversion and chips: `ros2 launch obbhbb_ros downlink.launch.py --show-args`."""
+"""Launch the chain to the ground: `ros2 launch obbhbb_ros downlink.launch.py --show-args`."""
 
-from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument
-from launch.actions import SetEnvironmentVariable
-from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+import os
+from collections.abc import Callable
+from typing import Any
 
 from launch import LaunchDescription
+from obbhbb_ros.launching import argument
+from obbhbb_ros.launching import common_arguments
+from obbhbb_ros.launching import node
+from obbhbb_ros.launching import nodes
+from obbhbb_ros.launching import params_file
 
-NODES = ('obb_to_hbb', 'chip_extractor')
+HOME = os.environ.get('ROS_HOME') or os.path.expanduser('~/.ros')
+NODES = ('obb_to_hbb', 'chip_extractor', 'downlink')
+TOPICS = ('detections', 'camera_info', 'image', 'contact')
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe the two nodes, each with a parameter file of its own, in one namespace."""
-    share = get_package_share_directory('obbhbb_ros')
-    arguments = [
-        DeclareLaunchArgument(
-            f'{name}_params_file', default_value=f'{share}/config/{name}.yaml',
-            description=f'YAML file with parameters of {name}',
-        )
-        for name in NODES
-    ]
-    arguments += [
-        DeclareLaunchArgument(
-            'namespace', default_value='', description='namespace of the nodes and their topics',
+    """Describe the nodes, each with a parameter file of its own, in one namespace."""
+    return LaunchDescription([
+        *(params_file(f'{name}_params_file', name) for name in NODES),
+        argument('nodes', ' '.join(NODES), 'which nodes to start'),
+        argument(
+            'spool', f'{HOME}/obbhbb/spool',
+            'folder in which chips wait for contact (empty: as the parameter files say)',
         ),
-        DeclareLaunchArgument('image', default_value='image', description='topic of the images'),
-        DeclareLaunchArgument(
-            'large_messages', default_value='false',
-            description='use the DDS profile for messages over 0.5 MB',
+        argument(
+            'outbox', f'{HOME}/obbhbb/outbox',
+            'folder from which the bus takes chips (empty: as the parameter file says)',
         ),
-    ]
-    profile = SetEnvironmentVariable(
-        'FASTRTPS_DEFAULT_PROFILES_FILE', f'{share}/config/fastdds_large.xml',
-        condition=IfCondition(LaunchConfiguration('large_messages')),
-    )
-    nodes = [
-        Node(
-            package='obbhbb_ros',
-            executable=name,
-            name=name,
-            namespace=LaunchConfiguration('namespace'),
-            parameters=[LaunchConfiguration(f'{name}_params_file')],
-            remappings=[('image', LaunchConfiguration('image'))],
-            output='screen',
+        *(argument(topic, topic, f'topic to use for `{topic}`') for topic in TOPICS),
+        *common_arguments(),
+        nodes(_nodes),
+    ])
+
+
+def _nodes(value: Callable[[str], str]) -> list[Any]:
+    """Describe the nodes that were chosen."""
+    chosen = value('nodes').replace(',', ' ').split()
+    if unknown := sorted({*chosen} - {*NODES}):
+        raise ValueError(f'nodes: {", ".join(unknown)} is none of {", ".join(NODES)}')
+    folders = {
+        'chip_extractor': {'spool.path': value('spool')},
+        'downlink': {'spool.path': value('spool'), 'outbox.path': value('outbox')},
+    }
+    return [
+        node(
+            value, name, name,
+            [
+                value(f'{name}_params_file'),
+                *({key: folder} for key, folder in folders.get(name, {}).items() if folder),
+            ],
+            TOPICS,
         )
-        for name in NODES
+        for name in chosen
     ]
-    return LaunchDescription([*arguments, profile, *nodes])

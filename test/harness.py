@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -69,6 +70,8 @@ SERVICES = {
 # Far more than anything takes, for machines that are busy with something else.
 TIMEOUT = 30.0
 RELIABLE = QoSProfile(depth=1000)
+
+DOC = Path(__file__).parents[1] / 'doc'
 
 Region = tuple[int, int, int, int]
 
@@ -591,3 +594,14 @@ def parameters_of(values: Mapping[str, Any]) -> list[Any]:
 def stamp_of(message: Any) -> int:
     """Give the number that `Converter.stamped` has put into a message."""
     return message.header.stamp.sec
+
+
+def unexplained(keys: Iterable[str], page: str) -> list[str]:
+    """List the keys that no row of the page's table stands for."""
+    text = (DOC / page).read_text(encoding='utf-8').partition('<!-- keys of /diagnostics -->')[2]
+    table = text.lstrip().partition('\n\n')[0]
+    known = [
+        re.escape(key).replace('<name>', '.+').replace('<reason>', '[a-z_]+')
+        for key in re.findall(r'^\| `([^`]+)`', table, re.MULTILINE)
+    ]
+    return [key for key in keys if not re.fullmatch('|'.join(known), key)]

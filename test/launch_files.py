@@ -11,8 +11,10 @@ import importlib.util
 import json
 import os
 import runpy
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from collections.abc import Mapping
 from collections.abc import Sequence
@@ -38,6 +40,8 @@ class Started:
     executable: str
     arguments: list[str]
     profile: str | None
+    parameters: dict[str, str]
+    respawn: bool
 
     def values(self, flag: str) -> list[str]:
         """Give what stands behind each occurrence of a flag."""
@@ -94,13 +98,23 @@ service.include_launch_description(LaunchDescription([include]))
 sys.exit(service.run())
 """
 
-# In place of each executable.
+# In place of each executable; the first process of each ends at once. launch writes parameters to
+# files of its own.
 NODE = f"""#!{sys.executable}
-import json, os, sys
+import json, os, signal, sys, yaml
 from pathlib import Path
 me = Path(sys.argv[0])
-started = [me.name, sys.argv[1:], os.environ.get({PROFILE!r})]
-(me.parents[2] / f'{{os.getpid()}}.started').write_text(json.dumps(started))
+arguments, own = sys.argv[1:], {{}}
+for at in [i for i, word in enumerate(arguments) if word == '--params-file'][::-1]:
+    if Path(arguments[at + 1]).name.startswith('launch_params_'):
+        (section,) = yaml.safe_load(Path(arguments[at + 1]).read_text()).values()
+        own.update(section['ros__parameters'])
+        del arguments[at : at + 2]
+before = list(me.parents[2].glob(me.name + '.*.started'))
+started = [me.name, arguments, os.environ.get({PROFILE!r}), own, bool(before)]
+(me.parents[2] / f'{{me.name}}.{{len(before)}}.started').write_text(json.dumps(started))
+if before:
+    signal.sigwait([signal.SIGINT])
 """
 
 
@@ -121,24 +135,50 @@ def _by_launch(file: Path, given: Mapping[str, str], folder: Path) -> dict[str, 
     environment = {name: value for name, value in os.environ.items() if name != PROFILE} | {
         'AMENT_PREFIX_PATH': os.pathsep.join(filter(None, prefixes)), 'ROS_LOG_DIR': str(folder),
     }
-    finished = subprocess.run(
-        [sys.executable, '-c', LAUNCH, file, folder, json.dumps(given)],
-        env=environment, check=False, timeout=60, capture_output=True, text=True, cwd=folder,
-    )
-    assert finished.returncode == 0, finished.stdout + finished.stderr
+    with (folder / 'log').open('w') as log:
+        process = subprocess.Popen(
+            [sys.executable, '-c', LAUNCH, file, folder, json.dumps(given)],
+            env=environment, stdout=log, stderr=log, cwd=folder,
+        )
+        try:
+            # Without respawn it ends by itself.
+            process.wait(_settled(folder))
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0, (folder / 'log').read_text()
+    latest = {each.name.split('.')[0]: each for each in sorted(folder.glob('*.started'))}
     return {
         'declared': json.loads((folder / 'declared').read_text()),
-        'started': [json.loads(each.read_text()) for each in folder.glob('*.started')],
+        'started': [json.loads(each.read_text()) for each in latest.values()],
     }
 
 
+def _settled(folder: Path) -> float:
+    """Wait until no node has been started for some seconds; return 0."""
+    count, since = 0, time.monotonic()
+    while time.monotonic() < since + 4.0:
+        found = len(list(folder.glob('*.started')))
+        if found != count:
+            count, since = found, time.monotonic()
+        time.sleep(0.1)
+    return 0.0
+
+
 # Stand-ins ------------------------------------------------------------------------------------
+
+class Configuration(str):
+    """The value of an argument."""
+
+    def perform(self, context: object) -> str:
+        return str(self)
+
+
 
 def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[str, Any]:
     """Give the file functions whose results do what they stand for, in the order described."""
     defaults: dict[str, str] = {}
     declared: dict[str, str] = {}
-    started: list[tuple[str, list[str], str | None]] = []
+    started: list[tuple[str, list[str], str | None, dict[str, str], bool]] = []
     environment: dict[str, str] = {}
 
     def declare(name: str, *, default_value: str, description: str) -> Callable[[], None]:
@@ -146,29 +186,37 @@ def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[st
         defaults[name] = default_value
         return lambda: declared.update({name: default_value})
 
-    def configuration(name: str) -> str:
-        return given.get(name, defaults[name])
+    def configuration(name: str) -> Configuration:
+        return Configuration(given.get(name, defaults[name]))
 
     def set_variable(name: str, value: str, condition: bool = True) -> Callable[[], None]:
         return lambda: environment.update({name: value} if condition else {})
 
     def node(
-        *, package: str, executable: str, name: str, namespace: str, parameters: list[str],
-        remappings: list[tuple[str, str]], output: str, ros_arguments: Sequence[str] = (),
+        *, package: str, executable: str, name: str, namespace: str, parameters: list[Any],
+        remappings: list[tuple[str, str]], output: str, ros_arguments: Sequence[str],
+        respawn: bool, respawn_delay: float,
     ) -> Callable[[], None]:
         assert (package, output) == ('obbhbb_ros', 'screen')
         arguments = [*ros_arguments, '-r', f'__node:={name}']
         arguments += ['-r', f'__ns:=/{namespace.lstrip("/")}']
         for path in parameters:
-            arguments += ['--params-file', path]
+            if isinstance(path, str):
+                arguments += ['--params-file', path]
         for old, new in remappings:
             arguments += ['-r', f'{old}:={new}']
-        return lambda: started.append((executable, arguments, environment.get(PROFILE)))
+        assert respawn_delay >= 0.0
+        own = {name: value for each in parameters if isinstance(each, dict)
+               for name, value in each.items()}
+        return lambda: started.append(
+            (executable, arguments, environment.get(PROFILE), own, respawn)
+        )
 
     modules = {
         'launch': {'LaunchDescription': list},
         'launch.actions': {
             'DeclareLaunchArgument': declare, 'SetEnvironmentVariable': set_variable,
+            'OpaqueFunction': lambda function: lambda: [action() for action in function(None)],
         },
         'launch.conditions': {'IfCondition': 'true'.__eq__},
         'launch.substitutions': {'LaunchConfiguration': configuration},

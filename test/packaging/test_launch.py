@@ -9,6 +9,8 @@ from launch_files import launched
 ROOT = Path(__file__).parents[2]
 CONVERTER = ROOT / 'launch' / 'obb_to_hbb.launch.py'
 DOWNLINK = ROOT / 'launch' / 'downlink.launch.py'
+NODES = ('obb_to_hbb', 'chip_extractor', 'downlink')
+CHAIN_TOPICS = ('detections', 'camera_info', 'image', 'contact')
 TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions')
 LARGE = 'config/fastdds_large.xml'
 
@@ -21,6 +23,7 @@ def test_the_conversion_node_is_launched_as_it_is() -> None:
     assert node.values('--params-file') == ['config/obb_to_hbb.yaml']
     assert node.values('--log-level') == ['info']
     assert node.profile is None
+    assert node.respawn
 
 
 def test_every_argument_of_the_conversion_node_counts(tmp_path: Path) -> None:
@@ -30,6 +33,7 @@ def test_every_argument_of_the_conversion_node_counts(tmp_path: Path) -> None:
     given = {
         'params_file': str(file), 'name': 'ships', 'namespace': 'sat/payload',
         'log_level': 'warn', 'large_messages': 'true', **topics,
+        'respawn': 'false', 'respawn_delay': '0.5',
     }
     ran = launched(CONVERTER, given)
     assert set(ran.declared) == set(given)
@@ -39,34 +43,55 @@ def test_every_argument_of_the_conversion_node_counts(tmp_path: Path) -> None:
     assert node.values('--params-file') == [str(file)]
     assert node.values('--log-level') == ['warn']
     assert node.profile == LARGE
+    assert not node.respawn
 
 
-def test_the_downlink_is_both_nodes_each_with_its_parameters() -> None:
-    nodes = launched(DOWNLINK).started
-    assert [node.executable for node in nodes] == ['chip_extractor', 'obb_to_hbb']
-    for node in nodes:
-        assert node.remaps == {'__node': node.executable, '__ns': '/', 'image': 'image'}
+def test_the_downlink_is_three_nodes_each_with_its_parameters(monkeypatch) -> None:
+    monkeypatch.setenv('ROS_HOME', '/home/of/ros')
+    ran = launched(DOWNLINK).started
+    assert [node.executable for node in ran] == sorted(NODES)
+    spool, outbox = '/home/of/ros/obbhbb/spool', '/home/of/ros/obbhbb/outbox'
+    folders = {
+        'chip_extractor': {'spool.path': spool}, 'obb_to_hbb': {},
+        'downlink': {'spool.path': spool, 'outbox.path': outbox},
+    }
+    for node in ran:
+        itself = {'__node': node.executable, '__ns': '/'}
+        assert node.remaps == itself | {topic: topic for topic in CHAIN_TOPICS}
         assert node.values('--params-file') == [f'config/{node.executable}.yaml']
+        assert node.parameters == folders[node.executable]
         assert node.profile is None
+        assert node.respawn
 
 
 def test_every_argument_of_the_downlink_counts(tmp_path: Path) -> None:
-    files = {name: tmp_path / f'{name}.yaml' for name in ('chip_extractor', 'obb_to_hbb')}
+    files = {name: tmp_path / f'{name}.yaml' for name in NODES}
     for file in files.values():
         file.write_text('/**: {ros__parameters: {autostart: true}}\n')
+    topics = {topic: f'/other/{topic}' for topic in CHAIN_TOPICS}
     given = {
-        'namespace': 'payload', 'image': '/camera/image', 'large_messages': 'true',
+        'nodes': ' '.join(NODES), 'namespace': 'payload', 'large_messages': 'true',
+        'spool': '/data/spool', 'outbox': '/data/outbox', 'log_level': 'debug',
+        'respawn': 'false', 'respawn_delay': '2.0', **topics,
         **{f'{name}_params_file': str(file) for name, file in files.items()},
     }
     ran = launched(DOWNLINK, given)
     assert set(ran.declared) == set(given)
-    assert [node.executable for node in ran.started] == list(files)
+    assert [node.executable for node in ran.started] == sorted(NODES)
     for node in ran.started:
-        assert node.remaps['__node'] == node.executable
-        assert node.remaps['__ns'] == '/payload'
-        assert node.remaps['image'] == '/camera/image'
+        itself = {'__node': node.executable, '__ns': '/payload'}
+        assert node.remaps == itself | topics
         assert node.values('--params-file') == [str(files[node.executable])]
+        assert node.values('--log-level') == ['debug']
+        assert node.parameters.get('spool.path', '/data/spool') == '/data/spool'
         assert node.profile == LARGE
+        assert not node.respawn
+
+
+def test_nodes_are_launched_by_choice() -> None:
+    ran = launched(DOWNLINK, {'nodes': 'downlink, chip_extractor', 'spool': '', 'respawn': 'false'})
+    assert [node.executable for node in ran.started] == ['chip_extractor', 'downlink']
+    assert 'spool.path' not in {**ran.started[0].parameters, **ran.started[1].parameters}
 
 
 @pytest.mark.parametrize('file', [CONVERTER, DOWNLINK], ids=lambda file: file.name)

@@ -3,35 +3,21 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
-from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from harness import ChipNode
 from harness import Converter
 from harness import Site
+from harness import unexplained
 from harness import values_of
 from lifecycle_msgs.msg import Transition
 from ships import detections
 from ships import fleet
 from vision_msgs.msg import Detection2DArray
 
-DOC = Path(__file__).parents[2] / 'doc'
 NAN, OUTSIDE = (np.nan, 0.0, 1.0, 1.0, 0.0), (1e6, 1e6, 10.0, 5.0, 0.0)
-
-
-def unexplained(keys: Iterable[str], page: str) -> list[str]:
-    """List the keys that no row of the page's table stands for."""
-    text = (DOC / page).read_text(encoding='utf-8').partition('<!-- keys of /diagnostics -->')[2]
-    table = text.lstrip().partition('\n\n')[0]
-    known = [
-        re.escape(key).replace('<name>', '.+').replace('<reason>', '[a-z_]+')
-        for key in re.findall(r'^\| `([^`]+)`', table, re.MULTILINE)
-    ]
-    return [key for key in keys if not re.fullmatch('|'.join(known), key)]
 
 
 def test_every_key_of_the_conversion_node_is_explained(start: Callable[..., Converter]) -> None:

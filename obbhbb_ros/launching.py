@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the launch files share: arguments, and nodes that are started again when they end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument
+from launch.actions import OpaqueFunction
+from launch.actions import SetEnvironmentVariable
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+PACKAGE = 'obbhbb_ros'
+
+
+def argument(name: str, default: str, meaning: str) -> Any:
+    """Declare an argument."""
+    return DeclareLaunchArgument(name, default_value=default, description=meaning)
+
+
+def params_file(name: str, node: str) -> Any:
+    """Declare the argument for the parameter file of a node."""
+    share = get_package_share_directory(PACKAGE)
+    return argument(name, f'{share}/config/{node}.yaml', f'YAML file with parameters of {node}')
+
+
+def common_arguments() -> list[Any]:
+    """Declare the arguments of every launch file, and use the DDS profile if one asks for it."""
+    share = get_package_share_directory(PACKAGE)
+    return [
+        argument('namespace', '', 'namespace of nodes and topics'),
+        argument('log_level', 'info', 'log level'),
+        argument('respawn', 'true', 'start a node again when it ends by itself'),
+        argument('respawn_delay', '1.0', 'seconds before that'),
+        argument('large_messages', 'false', 'use the DDS profile for messages over 0.5 MB'),
+        SetEnvironmentVariable(
+            'FASTRTPS_DEFAULT_PROFILES_FILE', f'{share}/config/fastdds_large.xml',
+            condition=IfCondition(LaunchConfiguration('large_messages')),
+        ),
+    ]
+
+
+def nodes(make: Any) -> Any:
+    """
+    Start nodes when the arguments are known.
+
+    Parameters
+    ----------
+    make : callable
+        Called with a function from the name of an argument to its value; lists the nodes.
+    """
+    def at_launch(context: Any) -> list[Any]:
+        return list(make(lambda name: LaunchConfiguration(name).perform(context)))
+
+    return OpaqueFunction(function=at_launch)
+
+
+def node(
+    value: Any,
+    executable: str,
+    name: str,
+    parameters: Sequence[Any],
+    topics: Sequence[str],
+) -> Any:
+    """
+    Describe a node under the common arguments.
+
+    Parameters
+    ----------
+    value : callable
+        Function from the name of an argument to its value.
+    executable, name : str
+        Executable and name of the node.
+    parameters : sequence of str or dict
+        Parameter files and parameters; a later one wins.
+    topics : sequence of str
+        Topics with an argument of the same name.
+    """
+    return Node(
+        package=PACKAGE,
+        executable=executable,
+        name=name,
+        namespace=value('namespace'),
+        parameters=list(parameters),
+        remappings=[(topic, value(topic)) for topic in topics],
+        ros_arguments=['--log-level', value('log_level')],
+        respawn=value('respawn').lower() in ('true', '1', 'yes', 'on'),
+        respawn_delay=float(value('respawn_delay')),
+        output='screen',
+    )

@@ -1,0 +1,391 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From image to outbox over DDS: every chip stored, released in contact, accounted for."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import signal
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from harness import ChipNode
+from harness import Converter
+from harness import Counts
+from harness import Node
+from harness import Peer
+from harness import Site
+from harness import unexplained
+from harness import values_of
+from lifecycle_msgs.msg import Transition
+from PIL import Image as Picture
+from rclpy.qos import DurabilityPolicy
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import Image
+from ships import detections
+from std_msgs.msg import Bool
+from vision_msgs.msg import Detection2DArray
+
+from obbhbb_ros.nodes.play_detections import image_message
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+NOISE = np.random.default_rng(5).integers(0, 256, (256, 256)).astype(np.uint8)
+
+
+class Chain(ExitStack):
+    """`chip_extractor` with a spool, `downlink`, and a peer that sends images and plans."""
+
+    def __init__(self, site: Site, folder: Path) -> None:
+        super().__init__()
+        self.site, self.spool, self.outbox = site, folder / 'spool', folder / 'outbox'
+        self.chips = self.enter_context(
+            ChipNode(site, {'codec': 'png', 'spool.path': self.spool, 'cache.max_age': 30.0})
+        )
+        self.chips.images = self.chips.peer.publisher(Image, 'image')
+        self.chips.plans = self.chips.peer.publisher(Detection2DArray, 'crop_regions')
+        self.chips.send_until(
+            lambda: self.store([0.01]), lambda: self.books()['spool.waiting'], 'a first chip'
+        )
+        self.chips.counts()
+
+    def downlink(self, **parameters: Any) -> Node:
+        """Start the node; close it to start another."""
+        node = Node(self.site, 'downlink', self.chips.namespace)
+        self.enter_context(node)
+        node.start(parameters={
+            'spool.path': self.spool, 'outbox.path': self.outbox,
+            **{name.replace('__', '.'): value for name, value in parameters.items()},
+        })
+        return node
+
+    def store(self, scores: list[float]) -> None:
+        """Send a frame with a chip for each score."""
+        header = self.chips.stamp()
+        rows = [(8 + i % 240, 8 + i // 240 * 20, 16, 16, 0) for i in range(len(scores))]
+        plan = detections(rows)
+        plan.header = header
+        for i, (detection, score) in enumerate(zip(plan.detections, scores, strict=True)):
+            detection.id = f'{header.stamp.sec}.{i}'
+            detection.results[0].hypothesis.score = score
+        self.chips.images.publish(image_message('mono8', NOISE, header))
+        self.chips.plans.publish(plan)
+
+    def books(self) -> Counts:
+        """Give the books of the spool, and check that they balance."""
+        books = self.chips.counts()
+        balance = books['spool.planned'] - sum(
+            n for name, n in books.items()
+            if name in ('spool.delivered', 'spool.waiting', 'spool.in_outbox', 'spool.in_work')
+            or name.startswith(('spool.evicted.', 'spool.refused.'))
+        )
+        assert balance == 0, books
+        return books
+
+    def released(self) -> list[dict[str, Any]]:
+        """Read the JSON files of the outbox, in the order of their release."""
+        files = [path for path in self.outbox.glob('*/*.json') if not path.name.startswith('.')]
+        files.sort(key=lambda path: path.stat().st_mtime_ns)
+        found = [json.loads(path.read_text()) for path in files]
+        for path, each in zip(files, found, strict=True):
+            data = path.with_suffix('.png').read_bytes()
+            assert hashlib.sha256(data).hexdigest() == each['sha256']
+            assert len(data) == each['bytes']
+        return found
+
+
+@pytest.fixture
+def chain(site: Site, tmp_path: Path) -> Iterator[Chain]:
+    with Chain(site, tmp_path) as chain:
+        yield chain
+
+
+def test_what_is_stored_is_released_with_everything_that_is_known_of_it(
+    site: Site, tmp_path: Path
+) -> None:
+    size = {'image_width': 256, 'image_height': 256}
+    spool, outbox = tmp_path / 'spool', tmp_path / 'outbox'
+    with (
+        ChipNode(site, {'codec': 'png', 'spool.path': spool}) as chips,
+        Converter(site, parameters=size, namespace=chips.namespace) as converter,
+        Node(site, 'downlink', chips.namespace) as downlink,
+    ):
+        images = chips.peer.publisher(Image, 'image')
+        cameras = chips.peer.publisher(CameraInfo, 'camera_info')
+        regions = chips.peer.collect(Detection2DArray, 'crop_regions')
+        converter.connect()
+        ships = [(60, 50, 50, 16, 0.4), (150, 160, 70, 20, -1.2), (200, 40, 20, 60, 0.1)]
+        message = detections(ships)
+        for i, detection in enumerate(message.detections):
+            detection.id = f'track {i}'
+            detection.results[0].hypothesis.class_id = ('tug', 'ferry', 'barge')[i]
+            detection.results[0].hypothesis.score = (0.7, 0.9, 0.6)[i]
+        camera = CameraInfo(width=256, height=256, k=np.arange(1.0, 10.0))
+        chips.peer.repeat(1.0, (0.1, lambda: cameras.publish(camera)))
+        number = converter.send(message)
+        images.publish(image_message('mono8', NOISE, message.header))
+        chips.wait(lambda: chips.counts()['chips_stored'] == 3, 'three chips in the spool')
+        downlink.start(parameters={'spool.path': spool, 'outbox.path': outbox})
+        files = []
+
+        def have_come() -> bool:
+            files[:] = sorted(outbox.glob('*/*.json'))
+            return len(files) == 3
+
+        downlink.wait(have_come, 'three files')
+        plan = converter.answer_to(number, regions)
+    found = sorted((json.loads(path.read_text()) for path in files), key=lambda f: -f['value'])
+    for facts, detection in zip(found, plan.detections, strict=True):
+        i = int(detection.id.split()[1])
+        box = detection.bbox
+        roi = [
+            round(box.center.position.x - box.size_x / 2), round(
+                box.center.position.y - box.size_y / 2), round(box.size_x), round(box.size_y),
+        ]
+        x, y, along, across, theta = ships[i]
+        length, width = max(along, across), min(along, across)
+        turned = theta + (np.pi / 2 if across > along else 0.0)
+        facts_of_obb = facts.pop('obb')
+        assert facts_of_obb[:4] == pytest.approx([x, y, length, width])
+        assert np.cos(2 * (facts_of_obb[4] - turned)) == pytest.approx(1.0)
+        (chip,) = outbox.glob(f'*/{facts["id"]}.png')
+        with Picture.open(io.BytesIO(chip.read_bytes())) as picture:
+            a, b, w, h = roi
+            np.testing.assert_array_equal(np.asarray(picture), NOISE[b : b + h, a : a + w])
+        stamp = {'sec': message.header.stamp.sec, 'nanosec': message.header.stamp.nanosec}
+        score = (0.7, 0.9, 0.6)[i]
+        assert facts == {
+            'id': chip.stem, 'stamp': stamp, 'frame_id': 'camera', 'roi': roi,
+            'image_size': [256, 256], 'class_id': ('tug', 'ferry', 'barge')[i], 'score': score,
+            'value': score, 'detection_ids': [f'track {i}'], 'codec': 'png',
+            'camera_matrix': list(range(1, 10)), 'bytes': chip.stat().st_size,
+            'sha256': hashlib.sha256(chip.read_bytes()).hexdigest(),
+        }
+
+
+def test_release_waits_for_contact_and_goes_by_value_then_age(chain: Chain) -> None:
+    for scores in ([0.2, 0.9], [0.5, 0.9]):
+        chain.store(scores)
+    chain.chips.wait(lambda: chain.books()['spool.waiting'] >= 5, 'chips in the spool')
+    node = chain.downlink(contact='topic', outbox__levels=[0.8, 0.4])
+    report = values_of(node.next_report())
+    assert (report['contact'], report['stalled_by']) == ('false', 'no contact')
+    assert not chain.outbox.exists() or not chain.released()
+    with Peer(chain.site.context, chain.chips.namespace) as ground:
+        contact = ground.publisher(Bool, 'contact', LATCHED)
+        contact.publish(Bool(data=True))
+        node.wait(lambda: node.counts()['spool.waiting'] == 0, 'all released')
+        contact.publish(Bool(data=False))
+        node.wait(
+            lambda: values_of(node.next_report())['contact'] == 'false', 'the end of contact'
+        )
+        chain.store([0.99])
+        chain.chips.wait(lambda: chain.books()['spool.waiting'] == 1, 'one more')
+    released = [(each['value'], each['stamp']['sec']) for each in chain.released()]
+    wanted = [r for r in released if r[0] > 0.1]
+    assert [value for value, _ in wanted] == [0.9, 0.9, 0.5, 0.2]
+    assert wanted[0][1] < wanted[1][1]
+    assert released == sorted(released, key=lambda r: (-r[0], r[1]))
+    folders = {path.parent.name for path in chain.outbox.glob('*/*.json')}
+    assert folders == {'0', '1', '2'}
+
+
+def test_what_the_topics_cannot_take_is_stored_all_the_same(chain: Chain) -> None:
+    chain.chips.set({'budget.max_chips': 1})
+    chain.chips.forget()
+    before = chain.books()
+    chain.store([0.5] * 10)
+    chain.chips.wait(
+        lambda: chain.books()['spool.waiting'] == before['spool.waiting'] + 10, 'ten chips'
+    )
+    changed = chain.chips.counts().since(before)
+    assert changed['chips_sent'] == 1
+    assert changed['chips_dropped.frame_max_chips'] == 9
+
+
+def test_the_budget_holds_in_every_second_and_a_change_counts_at_once(chain: Chain) -> None:
+    for _ in range(8):
+        chain.store([0.5] * 20)
+    chain.chips.wait(lambda: chain.books()['spool.waiting'] >= 160, 'chips in the spool')
+    rate = 10_000.0
+    node = chain.downlink(budget__bytes_per_second=rate, budget__overhead=50)
+    times: dict[str, float] = {}
+    started = time.monotonic()
+    while time.monotonic() < started + 3.0:
+        node.peer.spin(0.02)
+        now = time.monotonic()
+        for path in chain.outbox.glob('0/*.json'):
+            times.setdefault(path.stem, now)
+    cost = {
+        stem: sum(path.stat().st_size for path in chain.outbox.glob(f'0/{stem}.*')) + 50
+        for stem in times
+    }
+    moments = sorted((moment, cost[stem]) for stem, moment in times.items())
+    for i, (first, _) in enumerate(moments):
+        in_window = [size for moment, size in moments[i:] if moment < first + 1.0]
+        # Seen a little later than released.
+        assert sum(in_window) <= rate + rate + 0.2 * rate
+    assert sum(cost.values()) > rate
+    assert values_of(node.next_report())['stalled_by'] == 'link budget'
+    node.set({'budget.bytes_per_second': 0.0})
+    node.wait(lambda: node.counts()['spool.waiting'] == 0, 'the rest at once')
+
+
+def test_removal_acknowledges_and_a_full_outbox_keeps_chips_in_the_spool(chain: Chain) -> None:
+    chain.store([0.1 * i for i in range(1, 10)])
+    chain.chips.wait(lambda: chain.books()['spool.waiting'] == 10, 'chips in the spool')
+    node = chain.downlink(acknowledge='removal', outbox__max_bytes=3000.0)
+    node.wait(
+        lambda: values_of(node.next_report())['stalled_by'].startswith('outbox is full'), 'full'
+    )
+    counts = node.counts()
+    assert 0 < counts['spool.in_outbox'] < 10
+    assert counts['spool.delivered'] == 0
+    taken = []
+
+    def take_and_look() -> bool:
+        for path in chain.outbox.glob('*/*.json'):
+            taken.append(json.loads(path.read_text())['id'])
+            path.with_suffix('.png').unlink()
+            path.unlink()
+        return node.counts()['spool.delivered'] == 10
+
+    node.wait(take_and_look, 'all delivered')
+    assert len(set(taken)) == len(taken) == 10
+    chain.chips.wait(lambda: chain.books()['spool.delivered'] == 10, 'the same books')
+
+
+def test_an_outbox_that_was_replaced_delivers_nothing(chain: Chain) -> None:
+    node = chain.downlink(acknowledge='removal')
+    node.wait(lambda: node.counts()['spool.in_outbox'] == 1, 'one chip')
+    aside = chain.outbox.with_name('unmounted')
+    chain.outbox.rename(aside)
+    chain.outbox.mkdir()
+    node.wait_for_log('is not the outbox into which 1 chips were released')
+    chain.store([0.5])
+    counts = node.counts()
+    assert (counts['spool.in_outbox'], counts['spool.delivered']) == (1, 0)
+    assert not chain.released()
+    (chain.outbox / '.outbox').unlink(missing_ok=True)
+    chain.outbox.rmdir()
+    aside.rename(chain.outbox)
+    node.wait(lambda: node.counts()['spool.in_outbox'] == 2, 'it goes on')
+
+
+def test_an_inactive_node_releases_nothing(chain: Chain) -> None:
+    node = chain.downlink(autostart=False)
+    assert node.change_state(Transition.TRANSITION_CONFIGURE)
+    assert node.counts()['spool.waiting'] == 1
+    assert not list(chain.outbox.glob('*/*'))
+    assert node.change_state(Transition.TRANSITION_ACTIVATE)
+    node.wait(lambda: node.counts()['spool.waiting'] == 0, 'a release')
+    assert node.change_state(Transition.TRANSITION_DEACTIVATE)
+    chain.store([0.5])
+    chain.chips.wait(lambda: chain.books()['spool.waiting'] == 1, 'one more')
+    assert node.counts()['spool.waiting'] == 1
+    assert node.change_state(Transition.TRANSITION_CLEANUP)
+    assert node.change_state(Transition.TRANSITION_CONFIGURE)
+    assert node.change_state(Transition.TRANSITION_ACTIVATE)
+    node.wait(lambda: node.counts()['spool.waiting'] == 0, 'a release again')
+
+
+def test_a_spool_has_one_downlink(chain: Chain) -> None:
+    node = chain.downlink()
+    node.wait(lambda: node.counts()['spool.waiting'] == 0, 'a release')
+    second = Node(chain.site, 'downlink')
+    with second:
+        second.start(
+            parameters={'spool.path': chain.spool, 'outbox.path': chain.outbox / 'second'}
+        )
+        second.wait_for_log('another process releases this spool')
+
+
+@pytest.mark.parametrize('missing', ['spool.path', 'outbox.path'])
+def test_without_a_folder_it_does_not_start(site: Site, tmp_path: Path, missing: str) -> None:
+    given = {'spool.path': tmp_path / 'spool', 'outbox.path': tmp_path / 'outbox'}
+    del given[missing]
+    with site.start('downlink', parameters=given) as process:
+        assert process.wait() == 1
+        assert f'cannot start: {missing} is missing' in process.log
+
+
+def test_a_spool_that_is_deleted_is_said_and_begins_anew(chain: Chain) -> None:
+    node = chain.downlink()
+    node.wait(lambda: node.counts()['spool.waiting'] == 0, 'a release')
+    for path in chain.spool.iterdir():
+        path.unlink()
+    chain.spool.rmdir()
+    chain.store([0.5, 0.6])
+    chain.chips.wait_for_log('was deleted or replaced, a new catalogue begins')
+    node.wait(lambda: node.counts()['spool.delivered'] == 2, 'both are released')
+    assert chain.books()['spool.planned'] == 2
+
+
+def test_a_damaged_catalogue_is_set_aside_and_chips_go_on(chain: Chain) -> None:
+    (catalogue,) = chain.spool.glob('chips_*.sqlite3')
+    # Overwritten in place, as a failing disk does.
+    for path in (catalogue, catalogue.with_name(f'{catalogue.name}-wal')):
+        with path.open('r+b') as stream:
+            stream.write(b'\xa5' * path.stat().st_size)
+    # Whoever reads it from the disk notices, and the others follow.
+    node = chain.downlink()
+    node.wait_for_log(f'{catalogue.name} is damaged and set aside')
+    chain.chips.forget()
+    chain.store([0.5, 0.6])
+    chain.chips.wait(lambda: len(chain.chips.chips) == 2, 'the chips on their topic')
+    node.wait(lambda: node.counts()['spool.delivered'] == 2, 'both are released')
+    chain.chips.wait(lambda: chain.books()['spool.delivered'] == 2, 'one catalogue for all')
+    assert chain.books()['spool.set_aside'] == 1
+    assert catalogue.exists()
+
+
+def test_a_smaller_quota_counts_from_the_next_frame_on(chain: Chain) -> None:
+    for _ in range(10):
+        chain.store([0.1, 0.9] * 30)
+    chain.chips.wait(lambda: chain.books()['spool.waiting'] == 601, 'chips in the spool')
+    size = chain.books()['spool.file_bytes']
+    chain.chips.set({'spool.max_bytes': 0.7 * size})
+    chain.store([0.95])
+    chain.chips.wait(lambda: chain.books()['spool.evicted.max_bytes'], 'eviction')
+    (path,) = chain.spool.glob('chips_*.sqlite3')
+    with sqlite3.connect(path) as database:
+        left = [value for (value,) in database.execute('SELECT value FROM chips')]
+    database.close()
+    assert 0.95 in left
+    assert left.count(0.9) == 300 or 0.1 not in left
+
+
+def test_a_node_that_is_killed_in_the_middle_loses_nothing(chain: Chain) -> None:
+    for _ in range(5):
+        chain.store([0.5] * 40)
+    chain.chips.wait(lambda: chain.books()['spool.waiting'] == 201, 'chips in the spool')
+    for _ in range(3):
+        node = chain.downlink()
+        node.wait(lambda: len(list(chain.outbox.glob('0/*.json'))) % 200 > 20, 'some releases')
+        node.process.send_signal(signal.SIGKILL)
+        assert node.process.wait() == -signal.SIGKILL
+        chain.books()
+    node = chain.downlink()
+    node.wait(lambda: node.counts()['spool.waiting'] == 0, 'the rest')
+    released = chain.released()
+    assert len({each['id'] for each in released}) == len(released) == 201
+    assert node.counts()['spool.delivered'] == 201
+
+
+def test_every_key_of_the_downlink_node_is_explained(chain: Chain) -> None:
+    node = chain.downlink(contact='topic')
+    with Peer(chain.site.context, chain.chips.namespace) as ground:
+        contact = ground.publisher(Bool, 'contact', LATCHED)
+        contact.publish(Bool(data=True))
+        node.wait(lambda: node.counts()['spool.delivered'], 'a delivery')
+        contact.publish(b'\0\1\0\0')
+        node.wait(lambda: node.counts()['messages_unreadable'], 'an unreadable message')
+    assert not unexplained(values_of(node.next_report()), 'downlink.md')
+    assert not unexplained(chain.books(), 'chip_extractor.md')
