@@ -14,6 +14,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import kills
 import numpy as np
 import pytest
 from harness import ChipNode
@@ -389,3 +390,9 @@ def test_every_key_of_the_downlink_node_is_explained(chain: Chain) -> None:
         node.wait(lambda: node.counts()['messages_unreadable'], 'an unreadable message')
     assert not unexplained(values_of(node.next_report()), 'downlink.md')
     assert not unexplained(chain.books(), 'chip_extractor.md')
+
+
+def test_the_books_balance_after_every_kill_and_the_bus_has_what_they_say(
+    site: Site, tmp_path: Path
+) -> None:
+    kills.run(site, tmp_path, count=15, seed=1)

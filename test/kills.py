@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The way of chips from image to bus, with its nodes killed at random moments."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import random
+import signal
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from harness import NodeProcess
+from harness import Peer
+from harness import Site
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import Image
+from ships import detections
+from std_msgs.msg import Header
+from vision_msgs.msg import Detection2DArray
+
+from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.downlink.spool import Status
+from obbhbb_ros.nodes.play_detections import image_message
+
+SIDE, CHIPS = 256, 100
+PERIOD = 0.1
+
+
+class Bus:
+    """Takes files from an outbox as the bus does, and checks each."""
+
+    def __init__(self, outbox: Path) -> None:
+        self._outbox = outbox
+        self.taken: Counter[str] = Counter()
+        self.wrong: list[str] = []
+        self._is_stopping = False
+        self._thread = threading.Thread(target=self._work)
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._is_stopping = True
+        self._thread.join()
+
+    def _work(self) -> None:
+        while not self._is_stopping:
+            for path in sorted(self._outbox.glob('*/*.json')):
+                if not path.name.startswith('.'):
+                    self._take(path)
+            time.sleep(0.02)
+
+    def _take(self, path: Path) -> None:
+        try:
+            facts = json.loads(path.read_text(encoding='utf-8'))
+            chip = path.with_suffix('.png')
+            if hashlib.sha256(chip.read_bytes()).hexdigest() != facts['sha256']:
+                self.wrong.append(f'{path}: another file')
+        except (OSError, ValueError) as error:
+            self.wrong.append(f'{path}: {error!r}')
+            return
+        self.taken[facts['id']] += 1
+        chip.unlink()
+        path.unlink()
+
+
+class Chain(ExitStack):
+    """`chip_extractor` and `downlink` under load, with a bus that takes what comes."""
+
+    def __init__(self, site: Site, folder: Path) -> None:
+        super().__init__()
+        self._site, self._folder = site, folder
+        self._namespace = f'/kills_{folder.name}'
+        self.peer = self.enter_context(Peer(site.context, self._namespace))
+        self._plan = self._make_plan()
+        pixels = np.random.default_rng(3).integers(0, 256, (SIDE, SIDE)).astype(np.uint8)
+        self._image = image_message('mono8', pixels, Header())
+        deep = QoSProfile(depth=100)
+        self._plans = self.peer.node.create_publisher(Detection2DArray, 'crop_regions', deep)
+        self._images = self.peer.node.create_publisher(Image, 'image', deep)
+        self.sent = 0
+        self.nodes: dict[str, NodeProcess] = {}
+        for name in ('chip_extractor', 'downlink'):
+            self.start(name)
+        self.bus = Bus(folder / 'outbox')
+        self.callback(self.bus.stop)
+        self.callback(lambda: [node.close() for node in self.nodes.values()])
+        self.books = Spool(folder / 'spool', print)
+
+    @staticmethod
+    def _make_plan() -> Any:
+        plan = detections([
+            (8 + 12 * (i % 20), 8 + 12 * (i // 20), 12, 12, 0.0) for i in range(CHIPS)
+        ])
+        for i, detection in enumerate(plan.detections):
+            detection.results[0].hypothesis.score = i / CHIPS
+        return plan
+
+    def start(self, name: str) -> None:
+        parameters = {'spool.path': self._folder / 'spool'}
+        parameters |= (
+            {'codec': 'png', 'spool.max_bytes': 3e6} if name == 'chip_extractor' else
+            {'outbox.path': self._folder / 'outbox', 'acknowledge': 'removal',
+             'outbox.max_bytes': 300_000.0}
+        )
+        self.nodes[name] = self._site.start(
+            name, namespace=self._namespace, parameters=parameters
+        )
+
+    def send(self) -> None:
+        """Send an image and its plan."""
+        self.sent += 1
+        for message, publisher in ((self._image, self._images), (self._plan, self._plans)):
+            message.header.stamp.sec = self.sent
+            publisher.publish(message)
+
+    def run(self, seconds: float) -> None:
+        """Keep the load up for some time."""
+        self.peer.repeat(seconds, (PERIOD, self.send))
+
+    def run_until(self, condition: Callable[[Status], Any], timeout: float = 30.0) -> Status:
+        """Keep the load up until something holds of the books."""
+        deadline = time.monotonic() + timeout
+        while not condition(status := self.books.status()):
+            assert time.monotonic() < deadline, status
+            self.run(0.2)
+        return status
+
+    def kill(self, *names: str) -> Status:
+        """Kill nodes, start them again, and give the books from between."""
+        for name in names:
+            self.nodes[name].send_signal(signal.SIGKILL)
+        for name in names:
+            assert self.nodes[name].wait() == -signal.SIGKILL, self.nodes[name].log
+        status = self.books.status()
+        for name in names:
+            self.start(name)
+        return status
+
+    def drain(self) -> Status:
+        """Stop the load, and wait until everything is delivered."""
+        return self._wait(
+            lambda status: not (status.waiting or status.in_outbox or status.in_work)
+        )
+
+    def _wait(self, condition: Callable[[Status], Any]) -> Status:
+        deadline = time.monotonic() + 120.0
+        while not condition(status := self.books.status()):
+            assert time.monotonic() < deadline, status
+            self.peer.spin_to(time.monotonic() + 0.1)
+        return status
+
+
+def run(
+    site: Site, folder: Path, count: int, seed: int, report: Callable[[str], Any] = print
+) -> None:
+    """Kill nodes until there are so many kills, and hold the books against what the bus has."""
+    draw = random.Random(seed)
+    kills = killed_downlinks = 0
+    with Chain(site, folder) as chain:
+        while kills < count:
+            before = chain.books.status().counts
+            chain.run_until(
+                lambda status, before=before: all(
+                    status.counts.get(name, 0) > before.get(name, 0)
+                    for name in ('planned', 'released')
+                )
+            )
+            chain.run(draw.uniform(0.0, 0.4))
+            names = draw.choice(
+                [('chip_extractor',), ('downlink',), ('chip_extractor', 'downlink')]
+            )
+            status = chain.kill(*names)
+            assert status.balance == 0, status
+            kills += len(names)
+            killed_downlinks += 'downlink' in names
+            if kills % 50 < 2:
+                report(f'{kills} kills: {dict(status.counts)}')
+        # The frame that the last kill interrupted is settled by the next one.
+        chain.run_until(lambda status: status.counts['planned'] > before['planned'])
+        chain.run(1.0)
+        status = chain.drain()
+        assert status.balance == 0, status
+        chain.bus.stop()
+    assert not chain.bus.wrong, chain.bus.wrong
+    assert len(chain.bus.taken) == status.counts['delivered']
+    twice = sum(number - 1 for number in chain.bus.taken.values())
+    # Those whose release was not recorded yet: a batch for each kill, at most.
+    assert twice <= 16 * killed_downlinks
+    report(
+        f'{kills} kills, {chain.sent} frames sent; {dict(status.counts)}; '
+        f'{len(chain.bus.taken)} chips taken by the bus, {twice} of them twice; none wrong'
+    )

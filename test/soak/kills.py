@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Kill `chip_extractor` and `downlink` at random moments, and hold the books against the bus.
+
+    python test/soak/kills.py --count 500
+
+After each kill the books of the spool must balance; in the end every chip must have reached the
+bus, or be counted as evicted or refused, and no file may be wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from harness import site_at
+from kills import run
+
+
+def main() -> None:
+    """Run the kills."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument('--count', type=int, default=500)
+    parser.add_argument('--seed', type=int, default=0)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix='kills_') as folder, site_at(Path(folder)) as site:
+        run(site, Path(folder), options.count, options.seed, lambda text: print(text, flush=True))
+
+
+if __name__ == '__main__':
+    main()
