@@ -294,17 +294,21 @@ class Outcome:
     books: dict[str, Status]
 
     def best(self) -> float:
-        """
-        Give a value that no strategy can exceed.
+        """Give the value of the most valuable chips that fit all contacts."""
+        return self._that_fit(self.values)
 
-        All contacts carry it if they are filled with the chips of the most value per byte, even
-        before these are planned, and with a part of the last one.
-        """
-        values, costs = self.values[self.in_time], self.costs[self.in_time]
-        order = np.argsort(-values / costs)
-        return float(np.interp(
-            self.day.capacity, *(np.append(0.0, np.cumsum(each[order])) for each in (costs, values))
-        ))
+    def best_by_byte(self) -> float:
+        """Give the value that nothing exceeds: of the chips of the most value per byte that fit."""
+        return self._that_fit(self.values / self.costs)
+
+    def _that_fit(self, rank: FloatArray) -> float:
+        """Fill all contacts by rank, with chips not planned yet as well, and a part of the last."""
+        order = np.argsort(-rank[self.in_time])
+        values, costs = (
+            np.append(0.0, np.cumsum(each[self.in_time][order]))
+            for each in (self.values, self.costs)
+        )
+        return float(np.interp(self.day.capacity, costs, values))
 
 
 def simulate(day: Day) -> Outcome:
@@ -347,22 +351,49 @@ HEAD = (
 
 
 def table(outcome: Outcome) -> str:
-    """Tabulate strategies, and the bound."""
+    """Tabulate strategies, and what would be possible with foresight."""
     planned, best = float(outcome.values.sum()), outcome.best()
+    chips = str(len(outcome.values))
     rows = []
     for name, delivered in outcome.delivered.items():
         value = sum(each.value for each in delivered)
         age = float(np.median([each.age for each in delivered])) if delivered else float('nan')
         rows.append((
-            name, str(len(outcome.values)), str(len(delivered)),
-            f'{sum(each.bytes for each in delivered) / 1e6:.1f}', f'{value:.0f}',
-            f'{value / planned:.1%}', f'{value / best:.1%}', f'{age / 3600.0:.1f}',
+            name, chips, str(len(delivered)), f'{sum(each.bytes for each in delivered) / 1e6:.1f}',
+            f'{value:.0f}', f'{value / planned:.1%}', f'{value / best:.0%}', f'{age / 3600.0:.1f}',
         ))
-    rows.append((
-        'best possible', str(len(outcome.values)), '', f'{outcome.day.capacity / 1e6:.1f}',
-        f'{best:.0f}', f'{best / planned:.1%}', '100.0%', '',
-    ))
+    for name, value in (
+        ('best: the most valuable that fit', best),
+        ('the most value per byte that fits', outcome.best_by_byte()),
+    ):
+        rows.append((
+            name, chips, '', f'{outcome.day.capacity / 1e6:.1f}',
+            f'{value:.0f}', f'{value / planned:.1%}', f'{value / best:.0%}', '',
+        ))
     return text_table(HEAD, rows)
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Draw the value delivered over the day."""
+    from obbhbb_ros.study import drawing
+
+    day = outcome.day
+    curves = {
+        name: (
+            np.array([each.at for each in delivered]) / 3600.0,
+            np.array([each.value for each in delivered]),
+        )
+        for name, delivered in outcome.delivered.items()
+    }
+    contacts = [
+        (window.start * day.period / 3600.0, window.stop * day.period / 3600.0)
+        for window in day.windows
+    ]
+    figure = drawing.delivery_figure(
+        curves, outcome.best(), contacts, day.frames * day.period / 3600.0,
+        'Value delivered over a day of a synthetic harbour',
+    )
+    drawing.save(figure, path, dpi=100)
 
 
 def main() -> None:
