@@ -341,20 +341,25 @@ def delivery_figure(
     title : str
         Where the data come from.
     """
-    figure = Figure(figsize=(8.4, 4.2), layout='constrained')
+    figure = Figure(figsize=(8.4, 4.0), layout='constrained')
     axes = figure.subplots()
-    for index, window in enumerate(contacts):
-        label = None if index else 'contact'
-        axes.axvspan(*window, color=_SHADES[0], alpha=0.6, lw=0.0, label=label)
-    axes.axhline(best, color='black', lw=1.0, ls=_DASHES, label='the most valuable that fit')
+    for window in contacts:
+        axes.axvspan(*window, color=_SHADES[0], alpha=0.6, lw=0.0)
+    axes.axhline(best, color='black', lw=1.0, ls=_DASHES)
+    text = f'the most valuable that fit all contacts: {best:,.0f}'
+    axes.annotate(text, (0.0, best), (4, 4), textcoords='offset points', fontsize=9)
     for color, (name, (times, values)) in zip(_LINES, delivered.items(), strict=False):
+        total = values.sum()
         x = np.concatenate(([0.0], times, [hours]))
-        y = np.concatenate(([0.0], np.cumsum(values), [values.sum()]))
-        axes.step(x, y, where='post', color=color, lw=2.0, label=name)
+        y = np.concatenate(([0.0], np.cumsum(values), [total]))
+        axes.step(x, y, where='post', color=color, lw=2.0)
+        axes.annotate(
+            f'{name}:\n{total:,.0f}', (hours, total), (6, 0), textcoords='offset points',
+            va='center', color=color, fontsize=9, annotation_clip=False,
+        )
     axes.set(
-        xlim=(0.0, hours), ylim=(0.0, 1.08 * best), xlabel='hours', ylabel='value delivered',
-        title=title,
+        xlim=(0.0, hours), ylim=(0.0, 1.1 * best), xlabel='hours (shaded: contact)',
+        ylabel='value delivered', title=title,
     )
     axes.xaxis.set_major_locator(MaxNLocator(8, steps=(1, 2, 3, 5, 10)))
-    axes.legend(loc='upper left', frameon=True, framealpha=1.0, fontsize=9)
     return figure

@@ -178,7 +178,11 @@ class Scene:
 
 
 class Topic:
-    """Without a spool: what the link does not take at once is dropped."""
+    """
+    Without a spool: what the link does not take at once is dropped.
+
+    In its favour, what the other topics say about a chip costs the link nothing.
+    """
 
     name = 'drop at once'
 
@@ -298,7 +302,7 @@ class Outcome:
         return self._that_fit(self.values)
 
     def best_by_byte(self) -> float:
-        """Give the value that nothing exceeds: of the chips of the most value per byte that fit."""
+        """Give the value that no spool exceeds: of the chips of most value per byte that fit."""
         return self._that_fit(self.values / self.costs)
 
     def _that_fit(self, rank: FloatArray) -> float:
@@ -391,7 +395,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     ]
     figure = drawing.delivery_figure(
         curves, outcome.best(), contacts, day.frames * day.period / 3600.0,
-        'Value delivered over a day of a synthetic harbour',
+        'Synthetic harbour: value delivered over a day',
     )
     drawing.save(figure, path, dpi=100)
 
