@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An outbox of chips, as `downlink` leaves it for the bus, cut from the synthetic harbour."""
+"""Spools and outboxes of chips that are cut from the synthetic harbour."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
 from hashlib import sha256
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.downlink.outbox import JSON_SUFFIX
 from obbhbb_ros.downlink.outbox import Outbox
 from obbhbb_ros.downlink.outbox import level_of
+from obbhbb_ros.downlink.spool import NewChip
+from obbhbb_ros.downlink.spool import Spool
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.study.chip_costs import render
 from obbhbb_ros.study.harbour import harbour
@@ -43,6 +46,17 @@ def make_outbox(folder: Path, count: int = 24, codec: str = 'jpeg', depth: int =
     return made
 
 
+def make_spool(folder: Path, count: int = 24) -> None:
+    """Fill a spool with the same chips."""
+    spool = Spool(folder, print, 'writer')
+    chips = list(islice((each for frame in range(count) for each in _chips_of(frame)), count))
+    spool.store(spool.plan(count), [
+        NewChip(facts['value'], facts['class_id'], tuple(facts['stamp'].values()), facts, data)
+        for facts, data in chips
+    ], {})
+    spool.close()
+
+
 def put(folder: Path, facts: dict[str, Any], chip: bytes) -> Path:
     """Put a chip and its facts into an outbox; return the JSON file."""
     level = level_of(facts['value'], LEVELS)
@@ -56,7 +70,7 @@ def a_chip(codec: str = 'jpeg', **facts: Any) -> tuple[dict[str, Any], bytes]:
     return first | facts, chip
 
 
-def _chips_of(frame: int, codec: str, depth: int) -> Iterator[tuple[dict[str, Any], bytes]]:
+def _chips_of(frame: int, codec: str = 'jpeg', depth: int = 8) -> Iterator[tuple[dict[str, Any], bytes]]:
     """Cut one frame, most valuable first; each frame has other scores."""
     labels, pixels = _scene(depth)
     boxes = OrientedBoxes.from_corners(labels.corners)

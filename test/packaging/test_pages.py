@@ -17,6 +17,7 @@ import pytest
 import yaml
 from launch_files import launched
 from outboxes import make_outbox
+from outboxes import make_spool
 
 from obbhbb_ros import cli
 from obbhbb_ros import commands
@@ -188,7 +189,7 @@ def test_a_command_line_of_obbhbb_can_be_parsed(words: list[str]) -> None:
 
 
 # Input of examples that is made for them.
-MADE = {'received': make_outbox}
+MADE = {'received': make_outbox, 'spool': make_spool}
 
 
 def runnable() -> list[list[str]]:
@@ -197,7 +198,7 @@ def runnable() -> list[list[str]]:
     for words in commands(ROOT / 'doc' / 'commands.md'):
         if words[0] != 'obbhbb' or words[1] == 'demo' or not (options := parsed(words)):
             continue
-        named = (getattr(options, name, None) for name in ('source', 'labels', 'outbox'))
+        named = (getattr(options, name, None) for name in ('source', 'labels', 'outbox', 'spool'))
         given = next(filter(None, named), [])
         inputs = given if isinstance(given, list) else [given]
         if all((ROOT / path).exists() or str(path) in MADE for path in inputs):
