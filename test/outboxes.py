@@ -70,7 +70,9 @@ def a_chip(codec: str = 'jpeg', **facts: Any) -> tuple[dict[str, Any], bytes]:
     return first | facts, chip
 
 
-def _chips_of(frame: int, codec: str = 'jpeg', depth: int = 8) -> Iterator[tuple[dict[str, Any], bytes]]:
+def _chips_of(
+    frame: int, codec: str = 'jpeg', depth: int = 8
+) -> Iterator[tuple[dict[str, Any], bytes]]:
     """Cut one frame, most valuable first; each frame has other scores."""
     labels, pixels = _scene(depth)
     boxes = OrientedBoxes.from_corners(labels.corners)

@@ -4,24 +4,19 @@
 from __future__ import annotations
 
 import time
-from array import array
 from collections import Counter
 from collections import OrderedDict
 from collections import deque
 from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
-from sensor_msgs.msg import CompressedImage
 from sensor_msgs.msg import Image
-from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.downlink.budget import FrameBudget
@@ -32,7 +27,6 @@ from obbhbb_ros.downlink.chips import ChipError
 from obbhbb_ros.downlink.chips import Dropped
 from obbhbb_ros.downlink.chips import Region
 from obbhbb_ros.downlink.chips import chips_of
-from obbhbb_ros.downlink.chips import format_text
 from obbhbb_ros.downlink.chips import pixel_format
 from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.downlink.pairing import Pairing
@@ -44,7 +38,7 @@ from obbhbb_ros.downlink.spool import Spool
 from obbhbb_ros.downlink.stamps import ChipStamps
 from obbhbb_ros.downlink.stamps import Stamp
 from obbhbb_ros.nodes.camera import Camera
-from obbhbb_ros.nodes.camera import region_of_interest
+from obbhbb_ros.nodes.chip_topics import ChipTopics
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.spool_report import facts_of
 from obbhbb_ros.settings import CHIP_EXTRACTOR
@@ -58,7 +52,6 @@ from obbhbb_ros.wire.plans import Plan
 from obbhbb_ros.wire.plans import Source
 from obbhbb_ros.wire.plans import read_sources
 
-_CHIPS_KEPT = 1000
 _IMAGE, _REGIONS = 0, 1
 _KINDS = ('images', 'crop_plans')
 _REMEDIES = {
@@ -125,11 +118,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         # Found out here rather than at the first chip.
         import PIL.Image  # noqa: F401
 
-        # A frame's chips go out at once: those behind a large one would push it out of a short
-        # queue before its last piece is sent.
-        self._chips = self._output(CompressedImage, 'chip/compressed', _CHIPS_KEPT)
-        self._places = self._output(CameraInfo, 'chip/camera_info', _CHIPS_KEPT)
-        self._identities = self._output(Detection2DArray, 'chip/detections', _CHIPS_KEPT)
+        self._topics = ChipTopics(self._output, self._stamps)
         self._camera = Camera()
         self._sources: OrderedDict[Stamp, list[Source]] = OrderedDict()
         # Before the images and plans that they belong to.
@@ -278,8 +267,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     def _cut(self, image: WireImage, planned: PlannedFrame, settings: ChipSettings) -> None:
         """Cut one frame; publish what the budget allows, and store all of it in the spool."""
         self._monitor.add('frames_paired')
-        outputs = self._chips, self._places, self._identities
-        wanted = any(each.get_subscription_count() for each in outputs)
+        wanted = self._topics.wanted
         if not wanted:
             self._drop('no_subscriber', len(planned))
             if planned.frame is None:
@@ -337,8 +325,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     ) -> None:
         """Publish chips until the budget ends the frame; count the others."""
         frame = FrameBudget(settings.budget, self._bucket, settings.codec, time.monotonic)
-        format_of_file = format_text(image.encoding, settings.codec.codec)
-        info, stamps = self._camera.info_for(image), self._stamps.of_image(image.stamp)
+        topics = self._topics.of_frame(
+            image, planned.plan, self._camera.info_for(image), settings.codec.codec
+        )
         dropped: Counter[str] = Counter()
         sent = 0
         for chip in chips:
@@ -346,8 +335,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             if isinstance(admitted, Dropped):
                 dropped[admitted.value] += 1
             else:
-                self._publish(chip, admitted, format_of_file, image, planned.plan, info,
-                              next(stamps))
+                topics.publish(chip, admitted)
                 self._monitor.add('bytes_sent', len(admitted) + settings.budget.overhead)
                 sent += 1
             if frame.ended_by is not None:
@@ -364,27 +352,6 @@ class ChipExtractor(ManagedNode[ChipSettings]):
                     f'dropped {count} of {len(planned)} chips at stamp {_seconds(image.stamp)}: '
                     f'{_LOST_FOR_GOOD[reason]}',
                 )
-
-    def _publish(
-        self,
-        chip: Chip,
-        data: bytes,
-        format_of_file: str,
-        image: WireImage,
-        plan: Plan,
-        info: Any,
-        stamp: Stamp,
-    ) -> None:
-        """Publish a chip, its place and its identity, with a stamp that no other chip has."""
-        seconds, nanoseconds = stamp
-        header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=image.frame_id)
-        self._identities.publish(plan.alone(chip.index, stamp, image.stamp, image.frame_id))
-        place = copy(info)
-        place.header, place.roi = header, region_of_interest(info, chip.region)
-        self._places.publish(place)
-        self._chips.publish(
-            CompressedImage(header=header, format=format_of_file, data=array('B', data))
-        )
 
     def _store(
         self, planned: PlannedFrame, records: Sequence[NewChip], refused: Mapping[str, int]
