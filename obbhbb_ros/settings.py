@@ -755,22 +755,22 @@ DOWNLINK = ParameterTable(
         LOCK,
         HARDWARE_ID,
         Parameter(
-            'spool.path', '', 'Folder in which chip_extractor stores the chips.', read_only=True
-        ),
-        Parameter(
-            'outbox.path', '', 'Folder from which the bus takes the chips.', read_only=True
-        ),
-        Parameter(
             'contact', 'always',
             'When chips are released: always, or while the topic `contact` says so.',
             choices=('always', 'topic'),
         ),
-        *LINK,
         Parameter(
             'acknowledge', 'release',
             'When a chip counts as delivered: on its release into the outbox, or on its removal '
             'from there.',
             choices=('release', 'removal'),
+        ),
+        *LINK,
+        Parameter(
+            'spool.path', '', 'Folder in which chip_extractor stores the chips.', read_only=True
+        ),
+        Parameter(
+            'outbox.path', '', 'Folder from which the bus takes the chips.', read_only=True
         ),
         Parameter(
             'outbox.levels', [0.0],

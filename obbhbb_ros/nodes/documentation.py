@@ -62,9 +62,9 @@ def yaml_file(title: str, values: Mapping[str, Any], table: Sequence[Parameter])
     group = ''
     for spec in table:
         prefix, _, name = spec.name.rpartition('.')
-        if prefix != group:
+        if prefix and prefix != group:
             lines.append(f'{_INDENT}{prefix}:')
-            group = prefix
+        group = prefix
         indent = _INDENT + ('  ' if group else '')
         lines += _comment(_note(spec), indent)
         lines.append(f'{indent}{name}: {yaml_value(values.get(spec.name, spec.default))}')

@@ -4,16 +4,19 @@
 from __future__ import annotations
 
 import time
+from array import array
 from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Mapping
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from harness import SERVICES
 from harness import Converter
+from harness import Node
 from harness import Site
 from harness import parameters_of
 from harness import stamp_of
@@ -33,7 +36,9 @@ from obbhbb_ros.converter import HullRule
 from obbhbb_ros.nodes.documentation import NODE_TABLES
 from obbhbb_ros.settings import MOST_CLASSES
 from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings import read_values
 
+ROOT = Path(__file__).parents[2]
 Values = Mapping[str, Any]
 
 CONTRACT = {
@@ -285,6 +290,33 @@ def test_every_parameter_is_described(node: Converter, spec: Any) -> None:
     ranges = [*description.floating_point_range, *description.integer_range]
     found = [(each.from_value, each.to_value) for each in ranges]
     assert found == ([] if spec.low is None else [(spec.low, spec.high)])
+
+
+@pytest.mark.parametrize(
+    ('file', 'executable'),
+    [
+        ('obb_to_hbb', 'obb_to_hbb'), ('paper', 'obb_to_hbb'),
+        ('chip_extractor', 'chip_extractor'), ('downlink', 'downlink'),
+    ],
+)
+def test_a_node_takes_the_parameter_file_that_comes_with_it(
+    site: Site, tmp_path: Path, file: str, executable: str
+) -> None:
+    folders = {'spool.path': tmp_path / 'spool', 'outbox.path': tmp_path / 'outbox'}
+    arguments = ['--params-file', str(ROOT / 'config' / f'{file}.yaml')]
+    if executable == 'downlink':
+        # Those of the file are empty.
+        arguments += [each for name, path in folders.items() for each in ('-p', f'{name}:={path}')]
+    with Node(site, executable) as node:
+        node.start(arguments)
+        given = read_values(ROOT / 'config' / f'{file}.yaml', f'/{executable}')
+        if executable == 'downlink':
+            given |= {name: str(path) for name, path in folders.items()}
+        assert [*map(plain, node.get(*given))] == list(given.values())
+
+
+def plain(value: Any) -> Any:
+    return list(value) if isinstance(value, array) else value
 
 
 # Classes --------------------------------------------------------------------------------------
