@@ -2,7 +2,7 @@
 """
 An image with what was found in it drawn over it: arrays in, JPEG out. No ROS in here.
 
-Lines and text scale with the picture. Each line has a light rim and each text a background, so that
+Lines and text scale with the picture. Each box has a light rim and each text a background, so that
 they can be told from sea, quay and snow. Drawing requires Pillow.
 """
 
@@ -28,7 +28,7 @@ from obbhbb_ros.wire.image import WireImage
 _SIDES_PER_LINE = 550.0
 _SIDES_PER_TEXT = 64.0
 _SMALLEST_TEXT = 10
-_LONGEST_TEXT = 40
+_LONGEST_TEXT = 24
 _RIM = '#ffffff'
 _DARK, _LIGHT = '#000000', '#ffffff'
 # Pillow's names of pixels in memory.
@@ -37,7 +37,7 @@ _RAW_MODES = {
 }
 # Pixels of a picture that its brightness is taken from, on each side.
 _SAMPLES = 256
-_TEXTS_KEPT = 1000
+_TEXTS_KEPT = 256
 
 
 class OverlayError(ValueError):
@@ -148,6 +148,24 @@ def label_text(class_id: str, score: float) -> str:
     return ' '.join(filter(None, (shown, '' if math.isnan(score) else f'{score:.2f}')))
 
 
+def lines(corners: FloatArray) -> FloatArray:
+    """
+    List the edges of boxes.
+
+    Parameters
+    ----------
+    corners : ndarray, shape (N, 4, 2)
+        Corners in order around each box.
+
+    Returns
+    -------
+    ndarray, shape (4 K, 2, 2)
+        Both ends of each edge of the K boxes that are finite.
+    """
+    finite = corners[np.isfinite(corners).all(axis=(1, 2))]
+    return np.stack((finite, np.roll(finite, -1, axis=1)), axis=2).reshape(-1, 2, 2)
+
+
 def draw(
     image: WireImage, layers: Sequence[Layer], labels: Labels | None, style: Style
 ) -> Picture:
@@ -239,29 +257,27 @@ def _to_8_bits(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:
 
 
 def _outline(canvas: Any, corners: FloatArray, color: str, width: int) -> None:
-    """Draw the edges of boxes, (N, 4, 2), in pixels of the picture."""
-    edges = _edges(corners, width)
-    # The rim of one box must not cover the line of another.
-    for ink, thickness in ((_RIM, width + 2 * _rim(width)), (color, width)):
+    """Draw the edges of boxes, (N, 4, 2), in pixels of the picture, with a rim around each box."""
+    rim = max(1, width // 3)
+    # First all rims: that of one box must not cover the line of another.
+    for ink, thickness, distance in ((_RIM, rim, (width + rim) / 2.0), (color, width, 0.0)):
+        edges = _edges(corners, distance, thickness)
         margin = np.full(2, float(thickness))
         within = clipped(edges, -margin, np.array(canvas.im.size) + margin)
         for x0, y0, x1, y1 in np.floor(within).reshape(-1, 4).tolist():
             canvas.line((x0, y0, x1, y1), ink, thickness)
 
 
-def _rim(width: int) -> int:
-    """Return how far the rim of a line of some width reaches beyond it."""
-    return max(1, width // 3)
-
-
-def _edges(corners: FloatArray, width: int) -> FloatArray:
-    """List the edges of boxes, (4 N, 2, 2), long enough for corners without notches."""
-    starts, ends = corners, np.roll(corners, -1, axis=1)
-    along = ends - starts
+def _edges(corners: FloatArray, distance: float, width: int) -> FloatArray:
+    """List the edges, (4 N, 2, 2), of boxes grown by a distance, for lines of some width."""
+    along = np.roll(corners, -1, axis=1) - corners
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        unit = along / np.hypot(along[..., 0], along[..., 1])[..., None]
-    longer = np.nan_to_num(unit) * ((width - 1) / 2.0)
-    return np.stack((starts - longer, ends + longer), axis=2).reshape(-1, 2, 2)
+        unit = np.nan_to_num(along / np.hypot(along[..., 0], along[..., 1])[..., None])
+    starts = corners + distance * (np.roll(unit, 1, axis=1) - unit)
+    # Long enough for corners without notches.
+    longer = (width - 1) / 2.0 * unit
+    ends = np.roll(starts, -1, axis=1) + longer
+    return np.stack((starts - longer, ends), axis=2).reshape(-1, 2, 2)
 
 
 def clipped(segments: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
@@ -307,10 +323,12 @@ def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int
     low, high = (labels.corners * factor).min(axis=1), (labels.corners * factor).max(axis=1)
     # Neither NaN nor what lies outside.
     visible = ((high > 0.0) & (low < size)).all(axis=1)
+    # A label must hide neither another one nor the middle of a box.
+    middles = (low + high)[visible] / 2.0
     order = np.argsort(-np.nan_to_num(labels.scores), kind='stable')
     rows = [row for row in order.tolist() if visible[row] and labels.texts[row]]
-    taken = np.empty((len(rows), 4))
-    count = 0
+    taken = np.concatenate((np.hstack((middles, middles)), np.zeros((len(rows), 4))))
+    count = len(middles)
     for row in rows:
         text = _text(labels.texts[row], text_size)
         place = _place(text.size, low[row] - gap, high[row] + gap, size, taken[:count])
@@ -321,7 +339,7 @@ def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int
         count += 1
         canvas.rectangle((x, y, x + text.width - 1, y + text.height - 1), labels.color)
         canvas.bitmap((x, y), text, ink)
-    return len(rows) - count
+    return len(rows) - (count - len(middles))
 
 
 def _place(
@@ -331,11 +349,11 @@ def _place(
     size: tuple[int, int],
     taken: FloatArray,
 ) -> tuple[int, int] | None:
-    """Find room above a box or below it, inside the picture and free of other labels, (K, 4)."""
+    """Find room above a box or below it, inside the picture and off what is taken, (K, 4)."""
     width, height = text
     x = int(min(max(low[0], 0.0), max(size[0] - width, 0)))
-    for y in (int(low[1]) - height, int(high[1]) + 1):
-        y = min(max(y, 0), max(size[1] - height, 0))
+    for wanted in (int(low[1]) - height, int(high[1]) + 1):
+        y = min(max(wanted, 0), max(size[1] - height, 0))
         covers = (
             (taken[:, 0] < x + width) & (taken[:, 2] > x)
             & (taken[:, 1] < y + height) & (taken[:, 3] > y)

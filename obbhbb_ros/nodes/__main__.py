@@ -15,6 +15,7 @@ from obbhbb_ros.nodes.stop import Stop
 _CLASSES = {
     'obb_to_hbb': 'ObbToHbb',
     'chip_extractor': 'ChipExtractor',
+    'overlay': 'Overlay',
     'play_detections': 'PlayDetections',
 }
 
@@ -27,6 +28,11 @@ def obb_to_hbb() -> int:
 def chip_extractor() -> int:
     """Run the chip node."""
     return _run('chip_extractor')
+
+
+def overlay() -> int:
+    """Run the overlay node."""
+    return _run('overlay')
 
 
 def play_detections() -> int:

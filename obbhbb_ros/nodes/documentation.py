@@ -24,6 +24,7 @@ from obbhbb_ros.methods import METHODS
 from obbhbb_ros.nodes.play_detections import PLAY_DETECTIONS
 from obbhbb_ros.settings import CHIP_EXTRACTOR
 from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings import OVERLAY
 from obbhbb_ros.settings import Parameter
 from obbhbb_ros.settings import ParameterTable
 
@@ -32,6 +33,7 @@ PAPER = {name: value for name, value in asdict(PAPER_RULE).items() if value is n
 NODE_TABLES: dict[str, ParameterTable[Any]] = {
     'obb_to_hbb': OBB_TO_HBB,
     'chip_extractor': CHIP_EXTRACTOR,
+    'overlay': OVERLAY,
     'play_detections': PLAY_DETECTIONS,
 }
 _INDENT = ' ' * 4
@@ -163,6 +165,9 @@ def documents(root: Path) -> dict[Path, str]:
         root / 'config' / 'chip_extractor.yaml': yaml_file(
             'chip_extractor: the default settings. Every parameter is here.',
             {}, CHIP_EXTRACTOR.rows,
+        ),
+        root / 'config' / 'overlay.yaml': yaml_file(
+            'overlay: the default settings. Every parameter is here.', {}, OVERLAY.rows
         ),
         **pages,
     }
