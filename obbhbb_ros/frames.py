@@ -30,18 +30,30 @@ class NotDrawn(str, Enum):
 
 @dataclass(frozen=True)
 class CollectorLimits:
-    """For how long a frame waits for its parts, seconds, and how many images may wait."""
+    """
+    How long parts wait for each other.
+
+    Attributes
+    ----------
+    max_wait : float
+        How long an image waits for other parts, seconds from its arrival.
+    max_age : float
+        How long other parts wait for their image, seconds from the arrival of the first.
+    images : int
+        How many images may wait.
+    """
 
     max_wait: float
+    max_age: float
     images: int
 
 
 @dataclass
 class _Frame:
-    """The parts of one stamp so far, the moment of the first one, and a running number."""
+    """The parts of one stamp so far; when the image, or before it the first part, came."""
 
     since: float
-    number: int
+    number: int = 0
     parts: dict[str, Any] = field(default_factory=dict)
 
 
@@ -49,9 +61,10 @@ class FrameCollector:
     """
     Frames that wait for their parts.
 
-    A frame is ready once all the parts that are awaited are there, or after a while with those that
-    are. One that is not complete by then is discarded if it has no image, or if a frame that began
-    later was ready before: pictures do not go back in time.
+    A frame is ready once all the parts that are awaited are there, or some time after its image came
+    with those that are. One that is not complete by then is discarded if a frame whose image came
+    later was ready before: pictures do not go back in time. A large image takes a while to arrive,
+    so other parts may wait longer for it than it for them.
 
     Parameters
     ----------
@@ -61,7 +74,7 @@ class FrameCollector:
     Examples
     --------
     >>> frames = FrameCollector(on_discarded=print)
-    >>> limits = CollectorLimits(max_wait=0.5, images=10)
+    >>> limits = CollectorLimits(max_wait=0.5, max_age=5.0, images=10)
     >>> frames.add('boxes', (5, 0), 'some boxes', now=0.0)
     True
     >>> frames.add('image', (5, 0), 'pixels', now=0.1)
@@ -73,7 +86,7 @@ class FrameCollector:
     def __init__(self, on_discarded: Callable[[NotDrawn], None]) -> None:
         self._on_discarded = on_discarded
         self._waiting: OrderedDict[Stamp, _Frame] = OrderedDict()
-        self._begun = 0
+        self._images = 0
         self._latest_ready = 0
 
     def __len__(self) -> int:
@@ -88,9 +101,11 @@ class FrameCollector:
         """
         frame = self._waiting.get(stamp)
         if frame is None:
-            self._begun += 1
-            frame = self._waiting[stamp] = _Frame(now, self._begun)
+            frame = self._waiting[stamp] = _Frame(now)
         is_new = kind not in frame.parts
+        if kind == IMAGE and is_new:
+            self._images += 1
+            frame.since, frame.number = now, self._images
         frame.parts[kind] = item
         return is_new
 
@@ -102,7 +117,8 @@ class FrameCollector:
         needed = awaited | {IMAGE}
         for stamp, frame in list(self._waiting.items()):
             complete = needed <= frame.parts.keys()
-            if not complete and now - frame.since < limits.max_wait:
+            patience = limits.max_wait if IMAGE in frame.parts else limits.max_age
+            if not complete and now - frame.since < patience:
                 continue
             del self._waiting[stamp]
             if IMAGE not in frame.parts:

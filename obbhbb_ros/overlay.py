@@ -162,8 +162,13 @@ def lines(corners: FloatArray) -> FloatArray:
     ndarray, shape (4 K, 2, 2)
         Both ends of each edge of the K boxes that are finite.
     """
-    finite = corners[np.isfinite(corners).all(axis=(1, 2))]
+    finite = corners[_finite(corners)]
     return np.stack((finite, np.roll(finite, -1, axis=1)), axis=2).reshape(-1, 2, 2)
+
+
+def _finite(points: FloatArray) -> NDArray[np.bool_]:
+    """Tell which rows of points, (N, K, 2), are finite."""
+    return np.isfinite(points).all(axis=(1, 2))
 
 
 def draw(
@@ -242,7 +247,7 @@ def picture_of(image: WireImage, scale: float = 1.0) -> Any:
         picture = Image.frombytes(mode, size, np.ascontiguousarray(pixels)).convert('RGB')
     if scale != 1.0:
         wanted = [max(1, round(side * scale)) for side in size]
-        picture = picture.resize(wanted, Image.Resampling.BOX)
+        picture = picture.resize(wanted, Image.Resampling.BOX, reducing_gap=1.0)
     return picture
 
 
@@ -258,6 +263,7 @@ def _to_8_bits(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:
 
 def _outline(canvas: Any, corners: FloatArray, color: str, width: int) -> None:
     """Draw the edges of boxes, (N, 4, 2), in pixels of the picture, with a rim around each box."""
+    corners = corners[_finite(corners)]
     rim = max(1, width // 3)
     # First all rims: that of one box must not cover the line of another.
     for ink, thickness, distance in ((_RIM, rim, (width + rim) / 2.0), (color, width, 0.0)):
@@ -271,7 +277,8 @@ def _outline(canvas: Any, corners: FloatArray, color: str, width: int) -> None:
 def _edges(corners: FloatArray, distance: float, width: int) -> FloatArray:
     """List the edges, (4 N, 2, 2), of boxes grown by a distance, for lines of some width."""
     along = np.roll(corners, -1, axis=1) - corners
-    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+    # An edge without length has no direction.
+    with np.errstate(divide='ignore', invalid='ignore'):
         unit = np.nan_to_num(along / np.hypot(along[..., 0], along[..., 1])[..., None])
     starts = corners + distance * (np.roll(unit, 1, axis=1) - unit)
     # Long enough for corners without notches.
@@ -302,7 +309,7 @@ def clipped(segments: FloatArray, low: FloatArray, high: FloatArray) -> FloatArr
     >>> clipped(lines, np.array([0.0, 0.0]), np.array([20.0, 20.0])).tolist()
     [[[0.0, 5.0], [20.0, 5.0]]]
     """
-    segments = segments[np.isfinite(segments).all(axis=(1, 2))]
+    segments = segments[_finite(segments)]
     start, step = segments[:, 0], segments[:, 1] - segments[:, 0]
     with np.errstate(divide='ignore', invalid='ignore'):
         crossings = np.sort(np.stack(((low - start) / step, (high - start) / step)), axis=0)
@@ -321,10 +328,9 @@ def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int
     text_size, gap = style.text_size_for(size), style.line_width_for(size)
     ink = _ink_on(labels.color)
     low, high = (labels.corners * factor).min(axis=1), (labels.corners * factor).max(axis=1)
-    # Neither NaN nor what lies outside.
-    visible = ((high > 0.0) & (low < size)).all(axis=1)
+    visible = _finite(labels.corners) & ((high > 0.0) & (low < size)).all(axis=1)
     # A label must hide neither another one nor the middle of a box.
-    middles = (low + high)[visible] / 2.0
+    middles = (low[visible] + high[visible]) / 2.0
     order = np.argsort(-np.nan_to_num(labels.scores), kind='stable')
     rows = [row for row in order.tolist() if visible[row] and labels.texts[row]]
     taken = np.concatenate((np.hstack((middles, middles)), np.zeros((len(rows), 4))))

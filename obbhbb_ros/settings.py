@@ -743,7 +743,7 @@ def _overlay_settings(values: Mapping[str, Any]) -> OverlaySettings:
         style=_group(Style, values, ''),
         theta_scale=_theta_scale(values),
         input_frame=_input_frame(values),
-        limits=CollectorLimits(values['max_wait'], values['max_images']),
+        limits=CollectorLimits(values['max_wait'], values['max_age'], values['max_images']),
     )
 
 
@@ -781,6 +781,11 @@ OVERLAY = ParameterTable(
             'How long an image waits for its layers, seconds; then it is drawn with those that are '
             'there.',
             0.0, 60.0,
+        ),
+        Parameter(
+            'max_age', 5.0,
+            'How long layers wait for their image, seconds; a large one takes a while to arrive.',
+            0.0, 3600.0,
         ),
         Parameter(
             'max_images', IMAGES_KEPT,

@@ -14,6 +14,7 @@ from obbhbb_ros.nodes.documentation import PAPER
 from obbhbb_ros.nodes.documentation import documents
 from obbhbb_ros.settings import CHIP_EXTRACTOR
 from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings import OVERLAY
 from obbhbb_ros.settings import read_values
 from obbhbb_ros.study.harbour import harbour
 
@@ -39,6 +40,7 @@ def test_every_parameter_file_and_every_marked_table_follows_from_the_tables() -
         ('obb_to_hbb', OBB_TO_HBB, {}),
         ('paper', OBB_TO_HBB, PAPER),
         ('chip_extractor', CHIP_EXTRACTOR, {}),
+        ('overlay', OVERLAY, {}),
     ],
 )
 def test_a_shipped_yaml_states_every_parameter_and_can_be_used(name, table, differences) -> None:

@@ -53,7 +53,7 @@ def shared(site: Site) -> Iterator[OverlayNode]:
 @pytest.fixture
 def node(shared: OverlayNode) -> OverlayNode:
     """The module's node, with a sharp picture and all layers published."""
-    shared.set({'max_wait': 0.5, 'layers': list(LAYER_COLORS), 'scale': 1.0})
+    shared.set({'max_wait': 0.5, 'max_age': 5.0, 'layers': list(LAYER_COLORS), 'scale': 1.0})
     shared.pictures.clear()
     return shared
 
@@ -110,6 +110,7 @@ def test_an_image_is_drawn_without_a_layer_that_does_not_come_and_that_is_said(
 def test_layers_without_an_image_and_what_a_later_frame_overtook_are_dropped_and_counted(
     node: OverlayNode
 ) -> None:
+    node.set({'max_age': 0.5})
     before = node.counts()
     node.send_layer('boxes', ROWS['boxes'], node.header())
     node.send(GREY, 'rgb8')
