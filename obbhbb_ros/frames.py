@@ -61,10 +61,10 @@ class FrameCollector:
     """
     Frames that wait for their parts.
 
-    A frame is ready once all the parts that are awaited are there, or some time after its image came
-    with those that are. One that is not complete by then is discarded if a frame whose image came
-    later was ready before: pictures do not go back in time. A large image takes a while to arrive,
-    so other parts may wait longer for it than it for them.
+    A frame is ready once all the parts that are awaited are there, or some time after its image
+    came with those that are. One that is not complete by then is discarded if a frame whose image
+    came later was ready before: pictures do not go back in time. A large image takes a while to
+    arrive, so other parts may wait longer for it than it for them.
 
     Parameters
     ----------

@@ -168,7 +168,7 @@ def lines(corners: FloatArray) -> FloatArray:
 
 def _finite(points: FloatArray) -> NDArray[np.bool_]:
     """Tell which rows of points, (N, K, 2), are finite."""
-    return np.isfinite(points).all(axis=(1, 2))
+    return np.logical_and.reduce(np.isfinite(points), axis=(1, 2))
 
 
 def draw(

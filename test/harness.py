@@ -583,7 +583,6 @@ class OverlayNode(Node):
             lambda: any(stamp_of(picture) == sent[-1] for picture in self.pictures),
             'a first picture',
         )
-        self.counts()
         self.pictures.clear()
 
     def publish(self, topic: str, message: Any) -> None:

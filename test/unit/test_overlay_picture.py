@@ -186,11 +186,12 @@ def test_a_style_out_of_range_is_refused(values: dict[str, Any]) -> None:
 # Labels ---------------------------------------------------------------------------------------
 
 def labelled(
-    image: WireImage, *rows: Any, scores: Any = None, style: Style = Style(quality=100)
+    image: WireImage, *rows: Any, scores: Any = None, labels: bool = True
 ) -> tuple[NDArray[np.int64], int]:
     boxes = corners(*rows)
     given = np.linspace(0.9, 0.1, len(rows)) if scores is None else np.array(scores)
     texts = [label_text('ship', score) for score in given.tolist()]
+    style = Style(quality=100, labels=labels)
     picture = draw(image, [], Labels('#ff0000', boxes, texts, given), style)
     with PIL.open(io.BytesIO(picture.data)) as file:
         return np.asarray(file).astype(int), picture.labels_left_out
@@ -233,7 +234,7 @@ def test_where_two_labels_have_no_room_the_better_score_is_written() -> None:
 
 
 def test_labels_can_be_switched_off() -> None:
-    pixels, left_out = labelled(grey(200, 100), (100, 60, 80, 20, 0), style=Style(labels=False))
+    pixels, left_out = labelled(grey(200, 100), (100, 60, 80, 20, 0), labels=False)
     assert left_out == red_rows(pixels).size == 0
 
 
@@ -245,7 +246,8 @@ def test_a_box_outside_has_no_label() -> None:
 @pytest.mark.parametrize(
     ('class_id', 'score', 'text'),
     [
-        ('ship', 1.0, 'ship 1.00'), ('', 0.5, '0.50'), ('', np.nan, ''), ('a\nb\0', 0.5, 'a?b? 0.50'),
+        ('ship', 1.0, 'ship 1.00'), ('', 0.5, '0.50'), ('', np.nan, ''),
+        ('a\nb\0', 0.5, 'a?b? 0.50'),
         ('x' * 100, 0.5, 'x' * 23 + '… 0.50'), ('x' * 24, np.nan, 'x' * 24),
         ('ship', np.inf, 'ship inf'),
     ],
@@ -257,10 +259,9 @@ def test_a_label_is_one_short_line(class_id: str, score: float, text: str) -> No
 # Colours and edges ----------------------------------------------------------------------------
 
 def test_the_colours_are_those_of_the_report() -> None:
-    assert LAYER_COLORS == {
-        'crop_regions': METHOD_COLORS['outer'], 'boxes': METHOD_COLORS['superellipse'],
-        'detections': ORIENTED_COLOR,
-    }
+    assert LAYER_COLORS['crop_regions'] == METHOD_COLORS['outer']
+    assert LAYER_COLORS['boxes'] == METHOD_COLORS['superellipse']
+    assert LAYER_COLORS['detections'] == ORIENTED_COLOR
 
 
 def test_edges_go_around_each_finite_box() -> None:
