@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,7 @@ _SIDES_PER_LINE = 550.0
 _SIDES_PER_TEXT = 64.0
 _SMALLEST_TEXT = 10
 _LONGEST_TEXT = 24
-_RIM = '#ffffff'
-_DARK, _LIGHT = '#000000', '#ffffff'
+_WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 # Pillow's names of pixels in memory.
 _RAW_MODES = {
     'rgb8': 'RGB', 'bgr8': 'BGR', 'rgba8': 'RGBX', 'bgra8': 'BGRX',
@@ -38,6 +38,9 @@ _RAW_MODES = {
 # Pixels of a picture that its brightness is taken from, on each side.
 _SAMPLES = 256
 _TEXTS_KEPT = 256
+
+Color: TypeAlias = tuple[int, int, int]
+"""Red, green and blue, 0 to 255."""
 
 
 class OverlayError(ValueError):
@@ -266,7 +269,8 @@ def _outline(canvas: Any, corners: FloatArray, color: str, width: int) -> None:
     corners = corners[_finite(corners)]
     rim = max(1, width // 3)
     # First all rims: that of one box must not cover the line of another.
-    for ink, thickness, distance in ((_RIM, rim, (width + rim) / 2.0), (color, width, 0.0)):
+    strokes = (_WHITE, rim, (width + rim) / 2.0), (_rgb(color), width, 0.0)
+    for ink, thickness, distance in strokes:
         edges = _edges(corners, distance, thickness)
         margin = np.full(2, float(thickness))
         within = clipped(edges, -margin, np.array(canvas.im.size) + margin)
@@ -326,7 +330,8 @@ def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int
     """Write the labels that have room, best first; tell how many have none."""
     size = canvas.im.size
     text_size, gap = style.text_size_for(size), style.line_width_for(size)
-    ink = _ink_on(labels.color)
+    background = _rgb(labels.color)
+    ink = _ink_on(background)
     low, high = (labels.corners * factor).min(axis=1), (labels.corners * factor).max(axis=1)
     visible = _finite(labels.corners) & ((high > 0.0) & (low < size)).all(axis=1)
     # A label must hide neither another one nor the middle of a box.
@@ -343,7 +348,7 @@ def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int
         x, y = place
         taken[count] = x, y, x + text.width, y + text.height
         count += 1
-        canvas.rectangle((x, y, x + text.width - 1, y + text.height - 1), labels.color)
+        canvas.rectangle((x, y, x + text.width - 1, y + text.height - 1), background)
         canvas.bitmap((x, y), text, ink)
     return len(rows) - (count - len(middles))
 
@@ -392,7 +397,17 @@ def _font(size: int) -> Any:
     return ImageFont.load_default(size)
 
 
-def _ink_on(color: str) -> str:
+def _ink_on(color: Color) -> Color:
     """Choose black or white for a text, by the brightness of its background."""
-    red, green, blue = (int(color[i : i + 2], 16) for i in (1, 3, 5))
-    return _DARK if 0.299 * red + 0.587 * green + 0.114 * blue > 140.0 else _LIGHT
+    red, green, blue = color
+    return _BLACK if 0.299 * red + 0.587 * green + 0.114 * blue > 140.0 else _WHITE
+
+
+def _rgb(color: str) -> Color:
+    """
+    Read '#rrggbb'.
+
+    Pillow would read it again for each line.
+    """
+    red, green, blue = bytes.fromhex(color[1:])
+    return red, green, blue
