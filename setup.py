@@ -11,7 +11,7 @@ from setuptools import setup
 PACKAGE = 'obbhbb_ros'
 MANIFEST = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
 
-NODES = ('obb_to_hbb', 'chip_extractor', 'downlink', 'play_detections')
+NODES = ('obb_to_hbb', 'chip_extractor', 'downlink', 'overlay', 'play_detections')
 
 ROS = [
     'ros-jazzy-rclpy',
@@ -20,7 +20,8 @@ ROS = [
     'ros-jazzy-rmw-fastrtps-cpp',
 ]
 PLOTS = ['matplotlib>=3.6', 'jinja2>=3.0']
-IMAGES = ['pillow>=9.0']
+# The font of the overlay is in all sizes from 10.1 on.
+IMAGES = ['pillow>=10.1']
 # What the benchmarks measure against.
 PEERS = ['supervision>=0.27']
 GEO = ['geopandas>=0.14', 'pyogrio>=0.7']

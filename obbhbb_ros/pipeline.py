@@ -24,6 +24,7 @@ from obbhbb_ros.converter import half_extents
 from obbhbb_ros.converter import to_xyxy
 from obbhbb_ros.downlink.crops import CropPlan
 from obbhbb_ros.downlink.crops import plan_crops
+from obbhbb_ros.input_frame import InputFrame
 from obbhbb_ros.settings import Settings
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import InputType
@@ -70,7 +71,9 @@ class Batch:
         self._settings = settings
         self._image_size = image_size
         self._detections = detections = Detections(data, input_type)
-        self._boxes = _oriented_boxes(detections, settings, image_size)
+        self._boxes = oriented_boxes(
+            detections, settings.input_frame, image_size, settings.theta_scale, settings.bow
+        )
         self._rule_of: NDArray[np.intp] | None = None
         if settings.rule_of_class:
             rule_of_class = settings.rule_of_class
@@ -206,21 +209,39 @@ class Batch:
         )
 
 
-def _oriented_boxes(
-    detections: Detections, settings: Settings, image_size: tuple[int, int] | None
+def oriented_boxes(
+    detections: Detections,
+    frame: InputFrame,
+    image_size: tuple[int, int] | None,
+    theta_scale: float = 1.0,
+    bow: bool = False,
 ) -> OrientedBoxes:
-    """Read oriented boxes in image coordinates."""
-    frame = settings.input_frame
+    """
+    Read oriented boxes in image coordinates.
+
+    Parameters
+    ----------
+    detections : Detections
+        The detections.
+    frame : InputFrame
+        Coordinates of the input.
+    image_size : tuple of int or None
+        Width and height of the image, pixels; without it boxes stay as they are.
+    theta_scale : float
+        Factor from the input's angle unit to radians.
+    bow : bool
+        Whether the angles of the input point to the bow.
+    """
     if detections.polygons is not None:
         polygons = detections.polygons
         if image_size and not frame.is_image:
             polygons = [frame.to_image(each, image_size) for each in polygons]
         return OrientedBoxes.from_polygons(polygons)
     xywhr = detections.xywhr()
-    if settings.theta_scale != 1.0:
+    if theta_scale != 1.0:
         # NumPy warns of a signalling NaN.
         with np.errstate(invalid='ignore', over='ignore'):
-            xywhr[:, 4] *= settings.theta_scale
+            xywhr[:, 4] *= theta_scale
     if image_size and not frame.is_image:
-        return frame.boxes_to_image(xywhr, image_size, settings.bow)
-    return OrientedBoxes.from_xywhr(xywhr, bow=settings.bow)
+        return frame.boxes_to_image(xywhr, image_size, bow)
+    return OrientedBoxes.from_xywhr(xywhr, bow=bow)

@@ -27,6 +27,7 @@ from typing import TypeVar
 import numpy as np
 
 from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.converter import F_RANGE
 from obbhbb_ros.converter import Q_RANGE
 from obbhbb_ros.converter import S_RANGE
@@ -38,9 +39,11 @@ from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.pairing import PairingLimits
 from obbhbb_ros.downlink.release import ReleaseSettings
+from obbhbb_ros.frames import CollectorLimits
 from obbhbb_ros.input_frame import FITS
 from obbhbb_ros.input_frame import InputFrame
 from obbhbb_ros.methods import ONBOARD_METHODS
+from obbhbb_ros.overlay import Style
 from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
@@ -287,6 +290,33 @@ INPUT_TIMEOUT = Parameter(
 HARDWARE_ID = Parameter(
     'hardware_id', '', "hardware_id in the diagnostics (empty: the node's full name).",
 )
+_INPUT_TYPE = Parameter(
+    'input_type', next(iter(INPUT_TYPES)),
+    'Message type of the input; the topic is '
+    + ', '.join(f'`{each.topic}` for {each.name}' for each in INPUT_TYPES.values()) + '.',
+    choices=tuple(INPUT_TYPES), read_only=True,
+)
+_INPUT_COORDINATES = (
+    Parameter(
+        'angle_unit', 'rad', 'Unit of bbox.center.theta in the input.', choices=('rad', 'deg')
+    ),
+    Parameter(
+        'input_width', 0,
+        "Width of the network's input, pixels, if detections are in its coordinates.",
+        0, IMAGE_SIZE_LIMIT,
+    ),
+    Parameter(
+        'input_height', 0,
+        "Height of the network's input, pixels, if detections are in its coordinates.",
+        0, IMAGE_SIZE_LIMIT,
+    ),
+    Parameter(
+        'input_fit', 'none',
+        'How the image was fitted to the input of the network: not at all, stretched, or '
+        'scaled with equal margins on two sides.',
+        choices=FITS,
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -358,11 +388,9 @@ def _settings(values: Mapping[str, Any]) -> Settings:
         rule_of_class=rule_of_class,
         caps=_caps(values),
         image_size=(values['image_width'], values['image_height']),
-        theta_scale=math.pi / 180.0 if values['angle_unit'] == 'deg' else 1.0,
+        theta_scale=_theta_scale(values),
         bow=values['heading'] == 'theta',
-        input_frame=InputFrame(
-            (values['input_width'], values['input_height']), values['input_fit']
-        ),
+        input_frame=_input_frame(values),
         clip_boxes=values['clip_boxes'],
         keep_invalid=values['invalid_policy'] == 'keep',
         crop=_group(CropSettings, values, 'crop.'),
@@ -371,6 +399,16 @@ def _settings(values: Mapping[str, Any]) -> Settings:
         min_scores=np.array(min_scores),
         compare_outer=values['crop.compare_outer'],
     )
+
+
+def _theta_scale(values: Mapping[str, Any]) -> float:
+    """Return the factor from the input's angle unit to radians."""
+    return math.pi / 180.0 if values['angle_unit'] == 'deg' else 1.0
+
+
+def _input_frame(values: Mapping[str, Any]) -> InputFrame:
+    """Make the coordinates of the input."""
+    return InputFrame((values['input_width'], values['input_height']), values['input_fit'])
 
 
 def _rule(values: Mapping[str, Any], prefix: str = '') -> HullRule:
@@ -419,12 +457,7 @@ OBB_TO_HBB = ParameterTable(
         LOCK,
         INPUT_TIMEOUT,
         HARDWARE_ID,
-        Parameter(
-            'input_type', next(iter(INPUT_TYPES)),
-            'Message type of the input; the topic is '
-            + ', '.join(f'`{each.topic}` for {each.name}' for each in INPUT_TYPES.values()) + '.',
-            choices=tuple(INPUT_TYPES), read_only=True,
-        ),
+        _INPUT_TYPE,
         Parameter('method', HullRule.method, 'Conversion rule.', choices=ONBOARD_METHODS),
         Parameter(
             'q', HullRule.q,
@@ -482,25 +515,7 @@ OBB_TO_HBB = ParameterTable(
             'image_height', 0,
             'Height of the image, pixels (0: taken from `camera_info`).', 0, IMAGE_SIZE_LIMIT,
         ),
-        Parameter(
-            'angle_unit', 'rad', 'Unit of bbox.center.theta in the input.', choices=('rad', 'deg')
-        ),
-        Parameter(
-            'input_width', 0,
-            "Width of the network's input, pixels, if detections are in its coordinates.",
-            0, IMAGE_SIZE_LIMIT,
-        ),
-        Parameter(
-            'input_height', 0,
-            "Height of the network's input, pixels, if detections are in its coordinates.",
-            0, IMAGE_SIZE_LIMIT,
-        ),
-        Parameter(
-            'input_fit', 'none',
-            'How the image was fitted to the input of the network: not at all, stretched, or '
-            'scaled with equal margins on two sides.',
-            choices=FITS,
-        ),
+        *_INPUT_COORDINATES,
         Parameter(
             'clip_boxes', False,
             'Clip boxes to the image; those outside cannot be converted, see invalid_policy.',
@@ -786,3 +801,102 @@ DOWNLINK = ParameterTable(
     _downlink_settings,
 )
 """Parameters of the node `downlink`."""
+
+
+@dataclass(frozen=True)
+class OverlaySettings:
+    """
+    What one image is drawn under.
+
+    Attributes
+    ----------
+    colors : mapping of str to str
+        The layers that are drawn and their colours, '#rrggbb', the first below the others.
+    style : Style
+        How they are drawn.
+    theta_scale : float
+        Factor from the input's angle unit to radians.
+    input_frame : InputFrame
+        Coordinates of the detections.
+    limits : CollectorLimits
+        For how long an image waits for its layers.
+    """
+
+    colors: Mapping[str, str]
+    style: Style
+    theta_scale: float
+    input_frame: InputFrame
+    limits: CollectorLimits
+
+
+def _overlay_settings(values: Mapping[str, Any]) -> OverlaySettings:
+    """Make settings for `overlay`."""
+    layers = [layer for layer in values['layers'] if layer]
+    unknown = ', '.join(layer for layer in layers if layer not in LAYER_COLORS)
+    if unknown:
+        raise ValueError(f'layers can be {", ".join(LAYER_COLORS)}, not {unknown}')
+    colors = {layer: values[f'color.{layer}'] for layer in layers}
+    for layer, color in colors.items():
+        if not re.fullmatch('#[0-9a-fA-F]{6}', color):
+            raise ValueError(f'color.{layer} must be #rrggbb, not {color!r}')
+    return OverlaySettings(
+        colors=colors,
+        style=_group(Style, values, ''),
+        theta_scale=_theta_scale(values),
+        input_frame=_input_frame(values),
+        limits=CollectorLimits(values['max_wait'], values['max_age'], values['max_images']),
+    )
+
+
+OVERLAY = ParameterTable(
+    (
+        AUTOSTART,
+        LOCK,
+        INPUT_TIMEOUT,
+        HARDWARE_ID,
+        _INPUT_TYPE,
+        *_INPUT_COORDINATES,
+        Parameter(
+            'layers', list(LAYER_COLORS),
+            'What is drawn, the first below the others; empty strings are ignored.',
+        ),
+        Parameter(
+            'labels', Style.labels,
+            'Write class and score beside the detections, best score first, where there is room.',
+        ),
+        Parameter(
+            'scale', Style.scale,
+            'Size of the picture relative to the image; a small one suits a thin link.', 0.01, 1.0,
+        ),
+        Parameter('quality', Style.quality, 'Quality of the JPEG.', 1, 100),
+        Parameter(
+            'line_width', Style.line_width,
+            'Line width, pixels of the picture (0: what suits its size).', 0, 1000,
+        ),
+        Parameter(
+            'text_size', Style.text_size,
+            'Text size, pixels of the picture (0: what suits its size).', 0, 500,
+        ),
+        Parameter(
+            'max_wait', 0.5,
+            'How long an image waits for its layers, seconds; then it is drawn with those that are '
+            'there.',
+            0.0, 60.0,
+        ),
+        Parameter(
+            'max_age', 5.0,
+            'How long layers wait for their image, seconds; a large one takes a while to arrive.',
+            0.0, 3600.0,
+        ),
+        Parameter(
+            'max_images', IMAGES_KEPT,
+            'Maximum images that wait for their layers; the oldest is dropped first.', 1, 1000,
+        ),
+        *(
+            Parameter(f'color.{layer}', color, f'Colour of {layer.replace("_", " ")}, #rrggbb.')
+            for layer, color in LAYER_COLORS.items()
+        ),
+    ),
+    _overlay_settings,
+)
+"""Parameters of the node `overlay`."""

@@ -560,6 +560,69 @@ class ChipNode(Node):
         )
 
 
+class OverlayNode(Node):
+    """
+    The node `overlay` and a peer that publishes whatever it is told.
+
+    Pictures are in `pictures`, if `look` is true.
+    """
+
+    def __init__(
+        self, site: Site, parameters: Mapping[str, Any] | None = None, look: bool = True
+    ) -> None:
+        super().__init__(site, 'overlay')
+        topic = 'overlay/compressed'
+        self.pictures = self.peer.collect(CompressedImage, topic) if look else []
+        self.start(parameters=parameters)
+
+    def connect(self, *layers: str) -> None:
+        """Publish images and some layers from now on, and wait until the node hears them."""
+        self._publishers = {'image': self.peer.publisher(Image, 'image')}
+        for layer in layers:
+            self._publishers[layer] = self.peer.publisher(Detection2DArray, layer)
+        pixels, sent = np.zeros((8, 8), np.uint8), []
+        self.send_until(
+            lambda: sent.append(self.send(pixels, **dict.fromkeys(layers, ())).stamp.sec),
+            lambda: any(stamp_of(picture) == sent[-1] for picture in self.pictures),
+            'a first picture',
+        )
+        self.pictures.clear()
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Publish a message or its bytes."""
+        self._publishers[topic].publish(message)
+
+    def header(self) -> Header:
+        """Make a header that no other frame has."""
+        message = Image(header=Header(frame_id='bow_camera'))
+        self.stamped(message)
+        return message.header
+
+    def send_image(self, pixels: NDArray[Any], header: Header, encoding: str = 'mono8') -> None:
+        self.publish('image', image_message(encoding, pixels, header))
+
+    def send_layer(self, layer: str, rows: Any, header: Header) -> None:
+        """Publish boxes: x, y, size x, size y, theta."""
+        message = detections(rows)
+        message.header = header
+        self.publish(layer, message)
+
+    def send(self, pixels: NDArray[Any], encoding: str = 'mono8', **layers: Any) -> Header:
+        """Publish an image, and the boxes of its layers."""
+        header = self.header()
+        self.send_image(pixels, header, encoding)
+        for layer, rows in layers.items():
+            self.send_layer(layer, rows, header)
+        return header
+
+    def picture_of(self, header: Header) -> CompressedImage:
+        """Wait for the picture of a frame."""
+        return self.wait_for(
+            lambda: (picture for picture in self.pictures if picture.header == header),
+            f'the picture of {header}',
+        )
+
+
 class Counts(dict[str, float]):
     """The numbers of a report by name, 0 for those that it does not have."""
 
@@ -602,6 +665,7 @@ def unexplained(keys: Iterable[str], page: str) -> list[str]:
     table = text.lstrip().partition('\n\n')[0]
     known = [
         re.escape(key).replace('<name>', '.+').replace('<reason>', '[a-z_]+')
+        .replace('<layer>', '[a-z_]+')
         for key in re.findall(r'^\| `([^`]+)`', table, re.MULTILINE)
     ]
     return [key for key in keys if not re.fullmatch('|'.join(known), key)]

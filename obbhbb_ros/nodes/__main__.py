@@ -16,6 +16,7 @@ _CLASSES = {
     'obb_to_hbb': 'ObbToHbb',
     'chip_extractor': 'ChipExtractor',
     'downlink': 'Downlink',
+    'overlay': 'Overlay',
     'play_detections': 'PlayDetections',
 }
 
@@ -33,6 +34,11 @@ def chip_extractor() -> int:
 def downlink() -> int:
     """Run the downlink node."""
     return _run('downlink')
+
+
+def overlay() -> int:
+    """Run the overlay node."""
+    return _run('overlay')
 
 
 def play_detections() -> int:

@@ -25,6 +25,7 @@ from obbhbb_ros.nodes.play_detections import PLAY_DETECTIONS
 from obbhbb_ros.settings import CHIP_EXTRACTOR
 from obbhbb_ros.settings import DOWNLINK
 from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings import OVERLAY
 from obbhbb_ros.settings import Parameter
 from obbhbb_ros.settings import ParameterTable
 
@@ -34,6 +35,7 @@ NODE_TABLES: dict[str, ParameterTable[Any]] = {
     'obb_to_hbb': OBB_TO_HBB,
     'chip_extractor': CHIP_EXTRACTOR,
     'downlink': DOWNLINK,
+    'overlay': OVERLAY,
     'play_detections': PLAY_DETECTIONS,
 }
 _INDENT = ' ' * 4
@@ -169,6 +171,9 @@ def documents(root: Path) -> dict[Path, str]:
         root / 'config' / 'downlink.yaml': yaml_file(
             'downlink: the default settings; set the two folders. Every parameter is here.',
             {}, DOWNLINK.rows,
+        ),
+        root / 'config' / 'overlay.yaml': yaml_file(
+            'overlay: the default settings. Every parameter is here.', {}, OVERLAY.rows
         ),
         **pages,
     }

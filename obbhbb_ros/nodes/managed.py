@@ -14,6 +14,7 @@ from typing import Any
 from typing import Generic
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.lifecycle import LifecycleState
@@ -172,12 +173,23 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         """The subscriptions that the executor serves the short way, in this order."""
         return self._inputs
 
-    def _output(self, message_type: Any, topic: str, depth: int = _DEPTH) -> Any:
-        """Create a publisher that is silent while the node is not active."""
+    def _output(
+        self,
+        message_type: Any,
+        topic: str,
+        depth: int = _DEPTH,
+        on_matched: Callable[[Any], None] | None = None,
+    ) -> Any:
+        """
+        Create a publisher that is silent while the node is not active.
+
+        `on_matched` is called whenever a subscriber comes or goes.
+        """
         publisher = self.create_lifecycle_publisher(
             message_type,
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE),
+            event_callbacks=PublisherEventCallbacks(matched=on_matched),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         self._outputs.append(publisher)
@@ -211,15 +223,20 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         """Destroy topics and timer."""
         if self._timer is not None:
             self.destroy_timer(self._timer)
-        for subscription in self._inputs:
-            self.destroy_subscription(subscription)
+        self._release_inputs()
         if self._diagnostics_publisher is not None:
             self.destroy_publisher(self._diagnostics_publisher)
         for publisher in self._outputs:
             self.destroy_lifecycle_publisher(publisher)
-        self._outputs, self._inputs = [], []
+        self._outputs = []
         self._diagnostics_publisher = self._timer = None
         self._forget()
+
+    def _release_inputs(self) -> None:
+        """Unsubscribe from everything."""
+        for subscription in self._inputs:
+            self.destroy_subscription(subscription)
+        self._inputs = []
 
     def _on_message_lost(self, subscription: Any, status: Any) -> None:
         """Count messages that the middleware lost, and say how to avoid it."""

@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.colors import METHOD_COLORS
+from obbhbb_ros.colors import ORIENTED_COLOR
 from obbhbb_ros.converter import convert_by_rule
 from obbhbb_ros.files import replacing
 from obbhbb_ros.labels import ImageLabels
@@ -39,16 +41,6 @@ from obbhbb_ros.study.hulls import FULLNESS
 from obbhbb_ros.study.metrics import PROTOCOLS
 from obbhbb_ros.study.metrics import bounds
 
-COLORS = {
-    'superellipse': '#0b7d3e',
-    'shape_aware': '#e08a00',
-    'outer': '#1f5fbf',
-    'midpoint': '#b0389b',
-    'gaussian': '#d03b2a',
-    'area_equivalent': '#5f6a72',
-    'gaussian_published': '#e79a90',
-    'area_equivalent_published': '#a9b1b7',
-}
 _SEA = '#dfe9ee'
 _HULL = '#9aa7ad'
 _HULL_EDGE = '#5f6a72'
@@ -67,7 +59,7 @@ _STYLE = {
 
 def color_of(method: str) -> str:
     """Return the colour of a method, black if it has none yet."""
-    return COLORS.get(method, 'black')
+    return METHOD_COLORS.get(method, 'black')
 
 
 def save(figure: Figure, path: Path, dpi: int = 120) -> None:
@@ -221,8 +213,10 @@ def hull_panel() -> Figure:
         for axes, family in zip(row, FAMILIES.values(), strict=True):
             hull = family.outline(full) * [1.0, 1.0 / aspect] @ turn
             axes.add_patch(patches.Polygon(hull, facecolor=_HULL, edgecolor=_HULL_EDGE))
-            axes.add_patch(patches.Polygon(corners, fill=False, ls=_DASHES))
-            _add_box(axes, bounds(hull), COLORS['superellipse'], 2.0)
+            axes.add_patch(
+                patches.Polygon(corners, fill=False, edgecolor=ORIENTED_COLOR, ls=_DASHES)
+            )
+            _add_box(axes, bounds(hull), METHOD_COLORS['superellipse'], 2.0)
             axes.set(xlim=(-1.2, 1.2), ylim=(0.8, -0.8), xticks=[], yticks=[], aspect='equal')
             axes.set_title(f'{family.name} {full:.2f}', fontsize=9)
             axes.axis('off')
@@ -252,7 +246,7 @@ def scene_figure(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> Figure
         panel.set_title(f'{labels.class_ids[row]} {labels.ids[row]}, {degrees:.0f}°')
     handles = [
         patches.Patch(facecolor=_HULL, label='hull'),
-        Line2D([], [], color='black', ls=_DASHES, label='oriented box'),
+        Line2D([], [], color=ORIENTED_COLOR, ls=_DASHES, label='oriented box'),
         *(Line2D([], [], color=color_of(name), label=name) for name in boxes),
     ]
     _add_legend_below(figure, 0.08, handles, ncol=5)
@@ -280,7 +274,9 @@ def _draw_ships(
         if hull is not None:
             axes.add_patch(patches.Polygon(hull, facecolor=_HULL, edgecolor='none'))
         axes.add_patch(
-            patches.Polygon(labels.corners[row], fill=False, edgecolor='black', lw=1.0, ls=_DASHES)
+            patches.Polygon(
+                labels.corners[row], fill=False, edgecolor=ORIENTED_COLOR, lw=1.0, ls=_DASHES
+            )
         )
         for width, (name, xyxy) in zip(widths, boxes.items(), strict=True):
             _add_box(axes, xyxy[row], color_of(name), width)

@@ -15,6 +15,7 @@ from obbhbb_ros.nodes.documentation import documents
 from obbhbb_ros.settings import CHIP_EXTRACTOR
 from obbhbb_ros.settings import DOWNLINK
 from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings import OVERLAY
 from obbhbb_ros.settings import read_values
 from obbhbb_ros.study.harbour import harbour
 
@@ -41,6 +42,7 @@ def test_every_parameter_file_and_every_marked_table_follows_from_the_tables() -
         ('paper', OBB_TO_HBB, PAPER),
         ('chip_extractor', CHIP_EXTRACTOR, {}),
         ('downlink', DOWNLINK, {}),
+        ('overlay', OVERLAY, {}),
     ],
 )
 def test_a_shipped_yaml_states_every_parameter_and_can_be_used(name, table, differences) -> None:

@@ -16,6 +16,7 @@ SHARE = [
     'obbhbb_ros/package.xml',
     'obbhbb_ros/config/obb_to_hbb.yaml',
     'obbhbb_ros/config/chip_extractor.yaml',
+    'obbhbb_ros/config/overlay.yaml',
     'obbhbb_ros/config/paper.yaml',
     'obbhbb_ros/config/fastdds_large.xml',
     'obbhbb_ros/config/security/policy.xml',

@@ -25,6 +25,7 @@ from obbhbb_ros.boxes import Defect
 from obbhbb_ros.downlink.chips import Dropped
 from obbhbb_ros.downlink.crops import LeftOut
 from obbhbb_ros.downlink.pairing import Unpaired
+from obbhbb_ros.frames import NotDrawn
 from obbhbb_ros.nodes.documentation import NODE_TABLES
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
@@ -344,7 +345,7 @@ def flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
 
 # Nodes ----------------------------------------------------------------------------------------
 
-MANAGED = ['obb_to_hbb', 'chip_extractor', 'downlink']
+MANAGED = ['obb_to_hbb', 'chip_extractor', 'downlink', 'overlay']
 SOURCES = '\n'.join(map(text_of, sorted((ROOT / 'obbhbb_ros').glob('**/*.py'))))
 
 
@@ -379,6 +380,7 @@ def test_the_topics_of_the_player_stand_in_its_code() -> None:
         ('obb_to_hbb', 'detections', {each.name.lower() for each in Defect} - {'none'}),
         ('obb_to_hbb', 'crops', {each.value for each in LeftOut}),
         ('chip_extractor', 'unpaired', {each.value for each in Unpaired}),
+        ('overlay', 'frames', {each.value for each in NotDrawn}),
         (
             'chip_extractor', 'chips',
             {each.value for each in Dropped}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from harness import ChipNode
 from harness import Converter
+from harness import OverlayNode
 from harness import Site
 from harness import unexplained
 from harness import values_of
@@ -62,3 +63,20 @@ def test_every_key_of_the_chip_node_is_explained(site: Site) -> None:
             'chips_dropped.outside_image', 'crop_plans_dropped.expired', 'budget_available',
         } <= set(keys)
         assert not unexplained(keys, 'chip_extractor.md')
+
+
+def test_every_key_of_the_overlay_node_is_explained(site: Site) -> None:
+    with OverlayNode(site, {'max_wait': 0.1, 'max_age': 0.1}) as node:
+        node.connect('boxes', 'crop_regions')
+        pixels = np.zeros((8, 8), np.uint8)
+        node.send_layer('boxes', [OUTSIDE], node.header())
+        node.send(pixels, boxes=[NAN, *[(4.0, 4.0, 2.0, 2.0, 0.0)] * 2])
+        node.send(pixels, 'strange')
+        node.publish('image', b'\0\1\0\0' + bytes(5))
+        node.wait(lambda: node.counts()['frames_dropped.no_image'], 'a lonely layer')
+        keys = values_of(node.next_report())
+        assert {
+            'messages_unreadable', 'images_refused', 'layers_missing.crop_regions', 'watched',
+            'boxes_not_drawn', 'labels_left_out', 'latency_p50_ms',
+        } <= set(keys)
+        assert not unexplained(keys, 'overlay.md')

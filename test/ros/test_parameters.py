@@ -36,6 +36,7 @@ from obbhbb_ros.converter import HullRule
 from obbhbb_ros.nodes.documentation import NODE_TABLES
 from obbhbb_ros.settings import MOST_CLASSES
 from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings import OVERLAY
 from obbhbb_ros.settings import read_values
 
 ROOT = Path(__file__).parents[2]
@@ -49,6 +50,12 @@ CONTRACT = {
     'crop.compare_outer', 'lock_parameters', 'crop.q', 'crop.min_score', 'clip_boxes',
     'input_width', 'input_height', 'input_fit', 'input_timeout', 'hardware_id', 'heading',
     'q_bow', 'q_stern',
+}
+OVERLAY_CONTRACT = {
+    'autostart', 'lock_parameters', 'input_timeout', 'hardware_id', 'input_type', 'angle_unit',
+    'input_width', 'input_height', 'input_fit', 'layers', 'labels', 'scale', 'quality',
+    'line_width', 'text_size', 'max_wait', 'max_age', 'max_images', 'color.detections',
+    'color.boxes', 'color.crop_regions',
 }
 
 SHIPS = fleet(8)
@@ -278,6 +285,10 @@ def test_the_parameters_are_those_of_the_contract() -> None:
     names = {spec.name for spec in OBB_TO_HBB.class_rows}
     own = ('method', 'q', 'f', 's', 'weight', 'crop_q', 'min_score', 'q_bow', 'q_stern')
     assert names == {f'classes.<id>.{name}' for name in own}
+
+
+def test_the_overlay_has_every_parameter_of_its_contract_and_no_other() -> None:
+    assert {spec.name for spec in OVERLAY.rows} == OVERLAY_CONTRACT
 
 
 @pytest.mark.parametrize('spec', OBB_TO_HBB.rows, ids=lambda spec: spec.name)

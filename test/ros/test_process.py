@@ -192,7 +192,7 @@ def test_a_signal_ends_a_node_that_is_not_configured_cleanly(start: Start, numbe
     assert_clean_end(node)
 
 
-EXECUTABLES = ['obb_to_hbb', 'chip_extractor', 'play_detections']
+EXECUTABLES = ['obb_to_hbb', 'chip_extractor', 'overlay', 'play_detections']
 # From the first line, through imports and the making of the node, to a node that runs.
 MOMENTS = [0.0, 0.1, 0.5, 1.0]
 # A terminal's Ctrl-C reaches a launched node twice; what comes after that finds it ending.

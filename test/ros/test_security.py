@@ -11,11 +11,12 @@ from xml.etree import ElementTree
 import pytest
 from harness import Peer
 from harness import Site
+from sensor_msgs.msg import CompressedImage
 
 from obbhbb_ros.nodes.documentation import NODE_TABLES
 
 POLICY = ElementTree.parse(Path(__file__).parents[2] / 'config' / 'security' / 'policy.xml')
-NODES = ('obb_to_hbb', 'chip_extractor', 'downlink')
+NODES = ('obb_to_hbb', 'chip_extractor', 'downlink', 'overlay')
 
 
 def allowed(node: str, kind: str, action: str) -> set[str]:
@@ -42,6 +43,8 @@ def test_the_policy_has_the_names_of_the_running_node(
     }
     with site.start(node, parameters=parameters), Peer(site.context, '/watching') as peer:
         graph = peer.node
+        # The overlay subscribes to nothing before somebody looks.
+        peer.collect(CompressedImage, '/overlay/compressed')
         lists: dict[tuple[str, str], Callable[..., Any]] = {
             ('topic', 'publish'): graph.get_publisher_names_and_types_by_node,
             ('topic', 'subscribe'): graph.get_subscriber_names_and_types_by_node,

@@ -19,12 +19,12 @@ report = pytest.importorskip('obbhbb_ros.study.report')
 
 
 def test_every_method_has_a_colour_of_its_own() -> None:
-    assert set(drawing.COLORS) == set(METHODS)
-    assert len(set(drawing.COLORS.values())) == len(METHODS)
+    assert set(drawing.METHOD_COLORS) == set(METHODS)
+    assert len(set(drawing.METHOD_COLORS.values())) == len(METHODS)
 
 
 def test_a_method_without_a_colour_is_drawn_all_the_same(monkeypatch) -> None:
-    monkeypatch.delitem(drawing.COLORS, 'midpoint')
+    monkeypatch.delitem(drawing.METHOD_COLORS, 'midpoint')
     page = report.report_page(read_ships([REAL]), 'real', gallery=2)
     assert '.m-midpoint { stroke: black;' in page
 

@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The overlay node: an image and what was found in it in, a picture and markers of both out."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from rclpy.qos import ReliabilityPolicy
+from sensor_msgs.msg import CompressedImage
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+from vision_msgs.msg import Detection2DArray
+from visualization_msgs.msg import ImageMarker
+
+from obbhbb_ros.colors import LAYER_COLORS
+from obbhbb_ros.frames import IMAGE
+from obbhbb_ros.frames import FrameCollector
+from obbhbb_ros.frames import NotDrawn
+from obbhbb_ros.nodes.managed import ManagedNode
+from obbhbb_ros.nodes.managed import message_type
+from obbhbb_ros.overlay import OverlayError
+from obbhbb_ros.overlay_frame import OverlayFrame
+from obbhbb_ros.settings import IMAGES_KEPT
+from obbhbb_ros.settings import OVERLAY
+from obbhbb_ros.settings import PLANS_KEPT
+from obbhbb_ros.settings import OverlaySettings
+from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.detections import Detections
+from obbhbb_ros.wire.image import read_image
+from obbhbb_ros.wire.layouts import INPUT_TYPES
+
+# How late a frame that misses a layer may be drawn, seconds.
+_TICK = 0.1
+# As `image_transport` writes it.
+_FORMAT = 'rgb8; jpeg compressed bgr8'
+
+
+class Overlay(ManagedNode[OverlaySettings]):
+    """
+    Managed node `overlay`.
+
+    While somebody subscribes to what it publishes, it subscribes to `image`, `detections`, `boxes`
+    and `crop_regions`. It publishes `overlay/compressed`, `overlay/markers` and `/diagnostics`.
+    Topics and parameters: `doc/overlay.md`.
+
+    Parameters
+    ----------
+    **kwargs
+        Passed to `rclpy.lifecycle.LifecycleNode`.
+
+    Raises
+    ------
+    ValueError, rclpy.exceptions.ParameterException
+        If the parameters given at start cannot be used.
+    StartError
+        If `autostart` is set and the node cannot be configured or activated.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(
+            'overlay', OVERLAY, ('images_received', 'pictures_sent', 'bytes_sent'), **kwargs
+        )
+        self._frames = FrameCollector(self._count_not_drawn)
+        self._subscriptions_by_kind: dict[str, Any] = {}
+        self._ticks: Any = None
+        self._autostart()
+
+    def _create_topics(self) -> None:
+        """Create publishers; subscriptions come with the first one who looks."""
+        # Found out here rather than at the first picture.
+        import PIL.ImageDraw  # noqa: F401
+
+        self._input_type = INPUT_TYPES[self.get_parameter('input_type').value]
+        self._message_type = message_type(self._input_type)
+        self._pictures = self._output(
+            CompressedImage, 'overlay/compressed', on_matched=self._follow_viewers
+        )
+        self._markers = self._output(
+            ImageMarker, 'overlay/markers', on_matched=self._follow_viewers
+        )
+        # Viewers that keep the last marker of a topic would show one layer of all.
+        self._markers_of = {
+            layer: self._output(
+                ImageMarker, f'overlay/markers/{layer}', on_matched=self._follow_viewers
+            )
+            for layer in LAYER_COLORS
+        }
+
+    def _forget(self) -> None:
+        """Drop the frames that wait for their parts."""
+        self._frames.clear()
+
+    def _release_inputs(self) -> None:
+        """Unsubscribe from everything, and stop the clock of the waiting frames."""
+        super()._release_inputs()
+        self._subscriptions_by_kind = {}
+        if self._ticks is not None:
+            self.destroy_timer(self._ticks)
+            self._ticks = None
+
+    def _facts(self) -> dict[str, str]:
+        """Report what is waiting, and whether anybody looks."""
+        return {
+            'frames_waiting': str(len(self._frames)), 'watched': str(bool(self._inputs)).lower()
+        }
+
+    def _silent_for(self, values: Mapping[str, Any]) -> float:
+        """Expect no input while nobody looks."""
+        if not self._inputs:
+            self._monitor.expect_input()
+        return super()._silent_for(values)
+
+    def _follow_viewers(self, _: object) -> None:
+        """Subscribe to the input while somebody looks, so that it costs nothing otherwise."""
+        watched = any(map(_wanted, self._outputs))
+        if watched and not self._inputs:
+            self._subscribe()
+        elif self._inputs and not watched:
+            self._release_inputs()
+            self._forget()
+
+    def _subscribe(self) -> None:
+        """Create the subscriptions."""
+        reliable, any_reliability = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+        # As in the other nodes: a detector may publish as it likes, and what must not be lost
+        # beside the many pieces of a large image is asked for reliably.
+        self._subscriptions_by_kind = {
+            kind: self._input(type_, topic, partial(self._on_message, kind), reliability, depth)
+            for kind, type_, topic, reliability, depth in (
+                (IMAGE, Image, 'image', reliable, IMAGES_KEPT),
+                ('detections', self._message_type, self._input_type.topic, any_reliability,
+                 PLANS_KEPT),
+                ('boxes', Detection2DArray, 'boxes', reliable, PLANS_KEPT),
+                ('crop_regions', Detection2DArray, 'crop_regions', reliable, PLANS_KEPT),
+            )
+        }
+        self._ticks = self.create_timer(_TICK, self._draw_what_is_ready)
+
+    def _on_message(self, kind: str, data: bytes) -> None:
+        """Keep a part of a frame, and draw what is complete by it."""
+        self._monitor.add('images_received' if kind == IMAGE else f'layers_received.{kind}')
+        if not self._active:
+            self._monitor.add('messages_while_inactive')
+            return
+        if kind != IMAGE and kind not in self._parameters_in_force.settings.colors:
+            return
+        try:
+            item = self._read(kind, data)
+        except WireError as error:
+            self._drop_unreadable(data, self._subscriptions_by_kind[kind], error)
+            return
+        if item.stamp == (0, 0):
+            self._monitor.add('messages_without_stamp')
+            self._warn(
+                f'{kind} without stamp',
+                f'dropped a message on {self._subscriptions_by_kind[kind].topic_name}: its stamp '
+                'is zero',
+            )
+            return
+        if not self._frames.add(kind, item.stamp, item, time.monotonic()):
+            self._monitor.add('messages_repeated')
+        self._draw_what_is_ready()
+
+    def _read(self, kind: str, data: bytes) -> Any:
+        """Read a message."""
+        if kind == IMAGE:
+            return read_image(data)
+        return Detections(data, self._input_type) if kind == 'detections' else Detections(data)
+
+    def _draw_what_is_ready(self) -> None:
+        """Draw the frames that are complete, or have waited long enough."""
+        settings = self._parameters_in_force.settings
+        awaited = {
+            layer for layer in settings.colors
+            if self._subscriptions_by_kind[layer].get_publisher_count()
+        }
+        for parts in self._frames.ready(awaited, time.monotonic(), settings.limits):
+            started = time.perf_counter()
+            self._draw(OverlayFrame(parts, settings), settings, awaited)
+            self._monitor.took(time.perf_counter() - started)
+
+    def _draw(
+        self, frame: OverlayFrame, settings: OverlaySettings, awaited: set[str]
+    ) -> None:
+        """Publish one frame as far as somebody looks."""
+        self._monitor.add('frames_drawn')
+        self._monitor.add('boxes_not_drawn', frame.boxes_not_drawn)
+        self._report_missing(frame, awaited)
+        for layer in settings.colors:
+            wanting = [p for p in (self._markers, self._markers_of[layer]) if _wanted(p)]
+            marker = frame.marker(layer) if wanting else b''
+            for publisher in wanting:
+                publisher.publish(marker)
+                self._monitor.add('markers_sent')
+        if _wanted(self._pictures):
+            self._send_picture(frame)
+
+    def _send_picture(self, frame: OverlayFrame) -> None:
+        """Publish the picture of a frame."""
+        image = frame.image
+        seconds, nanoseconds = image.stamp
+        try:
+            picture = frame.picture()
+        except OverlayError as error:
+            self._monitor.add('images_refused')
+            self._warn(
+                'image refused',
+                f'no picture of the image on {self._subscriptions_by_kind[IMAGE].topic_name} at '
+                f'stamp {seconds}.{nanoseconds:09d}: {error}',
+            )
+            return
+        header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=image.frame_id)
+        self._pictures.publish(
+            CompressedImage(header=header, format=_FORMAT, data=array('B', picture.data))
+        )
+        self._monitor.add('pictures_sent')
+        self._monitor.add('bytes_sent', len(picture.data))
+        self._monitor.add('labels_left_out', picture.labels_left_out)
+
+    def _report_missing(self, frame: OverlayFrame, awaited: set[str]) -> None:
+        """Count the layers that did not come though somebody publishes them."""
+        missing = [layer for layer in frame.missing if layer in awaited]
+        for layer in missing:
+            self._monitor.add(f'layers_missing.{layer}')
+        if missing:
+            seconds, nanoseconds = frame.image.stamp
+            self._warn(
+                'layers missing',
+                f'drew the image at stamp {seconds}.{nanoseconds:09d} without '
+                f'{", ".join(missing)}: none of its stamp came within max_wait',
+            )
+
+    def _count_not_drawn(self, reason: NotDrawn) -> None:
+        """Count a frame that is not drawn."""
+        self._monitor.add(f'frames_dropped.{reason.value}')
+
+
+def _wanted(publisher: Any) -> bool:
+    """Return whether a topic has a subscriber."""
+    return bool(publisher.get_subscription_count())

@@ -1,0 +1,413 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+An image with what was found in it drawn over it: arrays in, JPEG out. No ROS in here.
+
+Lines and text scale with the picture. Each box has a light rim and each text a background, so that
+they can be told from sea, quay and snow. Drawing requires Pillow.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.downlink.chips import PIXEL_FORMATS
+from obbhbb_ros.downlink.chips import ChipError
+from obbhbb_ros.downlink.chips import view_of
+from obbhbb_ros.wire.image import WireImage
+
+# Of the picture's mean side: what is legible when the whole of it is on a screen.
+_SIDES_PER_LINE = 550.0
+_SIDES_PER_TEXT = 64.0
+_SMALLEST_TEXT = 10
+_LONGEST_TEXT = 24
+_WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
+# Pillow's names of pixels in memory.
+_RAW_MODES = {
+    'rgb8': 'RGB', 'bgr8': 'BGR', 'rgba8': 'RGBX', 'bgra8': 'BGRX',
+}
+# Pixels of a picture that its brightness is taken from, on each side.
+_SAMPLES = 256
+_TEXTS_KEPT = 256
+
+Color: TypeAlias = tuple[int, int, int]
+"""Red, green and blue, 0 to 255."""
+
+
+class OverlayError(ValueError):
+    """An image that cannot be drawn on; the message says why."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """
+    How a picture is drawn; values out of range raise ValueError.
+
+    Attributes
+    ----------
+    scale : float
+        Size of the picture relative to the image, above 0 to 1.
+    quality : int
+        Of the JPEG, 1 to 100.
+    line_width, text_size : int
+        Pixels of the picture; 0 for what suits its size.
+    labels : bool
+        Whether class and score are written.
+    """
+
+    scale: float = 1.0
+    quality: int = 80
+    line_width: int = 0
+    text_size: int = 0
+    labels: bool = True
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if not 0.0 < self.scale <= 1.0:
+            raise ValueError(f'scale must be above 0 and at most 1, not {self.scale}')
+        if not 1 <= self.quality <= 100:
+            raise ValueError(f'quality must be 1 to 100, not {self.quality}')
+
+    def line_width_for(self, size: tuple[int, int]) -> int:
+        """Return the line width of a picture of `size`, pixels."""
+        return self.line_width or max(1, round(math.sqrt(size[0] * size[1]) / _SIDES_PER_LINE))
+
+    def text_size_for(self, size: tuple[int, int]) -> int:
+        """Return the text size of a picture of `size`, pixels."""
+        suitable = round(math.sqrt(size[0] * size[1]) / _SIDES_PER_TEXT)
+        return self.text_size or max(_SMALLEST_TEXT, suitable)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """
+    Boxes of one kind.
+
+    Attributes
+    ----------
+    color : str
+        '#rrggbb'.
+    corners : ndarray, shape (N, 4, 2)
+        Corners in order around each box, pixels of the image; boxes with others than finite numbers
+        are not drawn.
+    """
+
+    color: str
+    corners: FloatArray
+
+
+@dataclass(frozen=True)
+class Labels:
+    """
+    Texts beside boxes.
+
+    Attributes
+    ----------
+    color : str
+        Of the background, '#rrggbb'.
+    corners : ndarray, shape (N, 4, 2)
+        Of the boxes, as in `Layer`.
+    texts : sequence of str
+        N texts; an empty one is not written.
+    scores : ndarray, shape (N,)
+        Where there is not room for all texts, those of the best scores are written.
+    """
+
+    color: str
+    corners: FloatArray
+    texts: Sequence[str]
+    scores: FloatArray
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A JPEG file, and how many labels had no room in it."""
+
+    data: bytes
+    labels_left_out: int
+
+
+def label_text(class_id: str, score: float) -> str:
+    """
+    Write class and score, what there is of them, in one short line.
+
+    Examples
+    --------
+    >>> label_text('tanker', 0.876), label_text('', 0.5), label_text('tanker', float('nan'))
+    ('tanker 0.88', '0.50', 'tanker')
+    """
+    shown = ''.join(each if each.isprintable() else '?' for each in class_id[: _LONGEST_TEXT + 1])
+    if len(shown) > _LONGEST_TEXT:
+        shown = shown[: _LONGEST_TEXT - 1] + '…'
+    return ' '.join(filter(None, (shown, '' if math.isnan(score) else f'{score:.2f}')))
+
+
+def lines(corners: FloatArray) -> FloatArray:
+    """
+    List the edges of boxes.
+
+    Parameters
+    ----------
+    corners : ndarray, shape (N, 4, 2)
+        Corners in order around each box.
+
+    Returns
+    -------
+    ndarray, shape (4 K, 2, 2)
+        Both ends of each edge of the K boxes that are finite.
+    """
+    finite = corners[_finite(corners)]
+    return np.stack((finite, np.roll(finite, -1, axis=1)), axis=2).reshape(-1, 2, 2)
+
+
+def _finite(points: FloatArray) -> NDArray[np.bool_]:
+    """Tell which rows of points, (N, K, 2), are finite."""
+    return np.logical_and.reduce(np.isfinite(points), axis=(1, 2))
+
+
+def draw(
+    image: WireImage, layers: Sequence[Layer], labels: Labels | None, style: Style
+) -> Picture:
+    """
+    Draw boxes and texts over an image.
+
+    Parameters
+    ----------
+    image : WireImage
+        The image, of an encoding of `obbhbb_ros.downlink.chips.PIXEL_FORMATS`. 16 bits are
+        stretched to what the picture uses of them; a Bayer mosaic is shown as grey.
+    layers : sequence of Layer
+        The boxes, the first below the others.
+    labels : Labels, optional
+        The texts.
+    style : Style
+        How to draw.
+
+    Returns
+    -------
+    Picture
+        The file.
+
+    Raises
+    ------
+    OverlayError
+        If the image is of another encoding, contradicts itself, or is too large for a JPEG.
+    """
+    from PIL import ImageDraw
+
+    picture = picture_of(image, style.scale)
+    # Rounded, the picture may differ from the image times the scale by half a pixel.
+    factor = np.array(picture.size) / (image.width, image.height)
+    canvas = ImageDraw.Draw(picture)
+    for layer in layers:
+        _outline(canvas, layer.corners * factor, layer.color, style.line_width_for(picture.size))
+    left_out = 0
+    if labels is not None and style.labels:
+        left_out = _write(canvas, labels, factor, style)
+    file = io.BytesIO()
+    try:
+        # Thin lines are mostly colour, which JPEG otherwise halves.
+        picture.save(file, 'jpeg', quality=style.quality, subsampling='4:4:4')
+    except (OSError, ValueError) as error:
+        size = f'{picture.width} x {picture.height}'
+        raise OverlayError(f'jpeg cannot hold a picture of {size} pixels: {error}') from None
+    return Picture(file.getvalue(), left_out)
+
+
+def picture_of(image: WireImage, scale: float = 1.0) -> Any:
+    """
+    Show an image as a Pillow image of mode RGB.
+
+    Raises OverlayError if it is of an unknown encoding or contradicts itself.
+    """
+    from PIL import Image
+
+    layout = PIXEL_FORMATS.get(image.encoding)
+    if layout is None:
+        known = ', '.join(PIXEL_FORMATS)
+        raise OverlayError(f'images of encoding {image.encoding!r} cannot be shown, only {known}')
+    try:
+        view = view_of(image)
+    except ChipError as error:
+        raise OverlayError(str(error)) from None
+    size = image.width, image.height
+    if image.encoding in _RAW_MODES and image.step == view.shape[1] * view.shape[2]:
+        picture = Image.frombytes('RGB', size, image.data, 'raw', _RAW_MODES[image.encoding])
+    else:
+        pixels = view[..., layout.channels[:3]]
+        if layout.depth == 16:
+            pixels = _to_8_bits(pixels)
+        mode = 'L' if pixels.shape[2] == 1 else 'RGB'
+        picture = Image.frombytes(mode, size, np.ascontiguousarray(pixels)).convert('RGB')
+    if scale != 1.0:
+        wanted = [max(1, round(side * scale)) for side in size]
+        picture = picture.resize(wanted, Image.Resampling.BOX, reducing_gap=1.0)
+    return picture
+
+
+def _to_8_bits(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Stretch the brightness that a picture has, but for its extremes, to all of 8 bits."""
+    height, width = pixels.shape[:2]
+    sample = pixels[:: -(-height // _SAMPLES), :: -(-width // _SAMPLES)]
+    low, high = np.percentile(sample, (0.5, 99.5))
+    steps = (np.arange(2**16) - low) * (255.0 / max(high - low, 1.0))
+    table: NDArray[np.uint8] = np.clip(np.round(steps), 0, 255).astype(np.uint8)
+    return table[pixels]
+
+
+def _outline(canvas: Any, corners: FloatArray, color: str, width: int) -> None:
+    """Draw the edges of boxes, (N, 4, 2), in pixels of the picture, with a rim around each box."""
+    corners = corners[_finite(corners)]
+    rim = max(1, width // 3)
+    # First all rims: that of one box must not cover the line of another.
+    strokes = (_WHITE, rim, (width + rim) / 2.0), (_rgb(color), width, 0.0)
+    for ink, thickness, distance in strokes:
+        edges = _edges(corners, distance, thickness)
+        margin = np.full(2, float(thickness))
+        within = clipped(edges, -margin, np.array(canvas.im.size) + margin)
+        for x0, y0, x1, y1 in np.floor(within).reshape(-1, 4).tolist():
+            canvas.line((x0, y0, x1, y1), ink, thickness)
+
+
+def _edges(corners: FloatArray, distance: float, width: int) -> FloatArray:
+    """List the edges, (4 N, 2, 2), of boxes grown by a distance, for lines of some width."""
+    along = np.roll(corners, -1, axis=1) - corners
+    # An edge without length has no direction.
+    with np.errstate(divide='ignore', invalid='ignore'):
+        unit = np.nan_to_num(along / np.hypot(along[..., 0], along[..., 1])[..., None])
+    starts = corners + distance * (np.roll(unit, 1, axis=1) - unit)
+    # Long enough for corners without notches.
+    longer = (width - 1) / 2.0 * unit
+    ends = np.roll(starts, -1, axis=1) + longer
+    return np.stack((starts - longer, ends), axis=2).reshape(-1, 2, 2)
+
+
+def clipped(segments: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """
+    Cut line segments to a rectangle.
+
+    Parameters
+    ----------
+    segments : ndarray, shape (M, 2, 2)
+        x and y of the two ends.
+    low, high : ndarray, shape (2,)
+        Corners of the rectangle.
+
+    Returns
+    -------
+    ndarray, shape (K, 2, 2)
+        What lies inside of those that are finite.
+
+    Examples
+    --------
+    >>> lines = np.array([[[-10.0, 5.0], [30.0, 5.0]], [[-9.0, 0.0], [-9.0, 9.0]]])
+    >>> clipped(lines, np.array([0.0, 0.0]), np.array([20.0, 20.0])).tolist()
+    [[[0.0, 5.0], [20.0, 5.0]]]
+    """
+    segments = segments[_finite(segments)]
+    start, step = segments[:, 0], segments[:, 1] - segments[:, 0]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        crossings = np.sort(np.stack(((low - start) / step, (high - start) / step)), axis=0)
+    first = np.fmax(crossings[0].max(axis=1), 0.0)
+    last = np.fmin(crossings[1].min(axis=1), 1.0)
+    kept = first <= last
+    start, step = start[kept], step[kept]
+    return np.stack(
+        (start + first[kept, None] * step, start + last[kept, None] * step), axis=1
+    )
+
+
+def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int:
+    """Write the labels that have room, best first; tell how many have none."""
+    size = canvas.im.size
+    text_size, gap = style.text_size_for(size), style.line_width_for(size)
+    background = _rgb(labels.color)
+    ink = _ink_on(background)
+    low, high = (labels.corners * factor).min(axis=1), (labels.corners * factor).max(axis=1)
+    visible = _finite(labels.corners) & ((high > 0.0) & (low < size)).all(axis=1)
+    # A label must hide neither another one nor the middle of a box.
+    middles = (low[visible] + high[visible]) / 2.0
+    order = np.argsort(-np.nan_to_num(labels.scores), kind='stable')
+    rows = [row for row in order.tolist() if visible[row] and labels.texts[row]]
+    taken = np.concatenate((np.hstack((middles, middles)), np.zeros((len(rows), 4))))
+    count = len(middles)
+    for row in rows:
+        text = _text(labels.texts[row], text_size)
+        place = _place(text.size, low[row] - gap, high[row] + gap, size, taken[:count])
+        if place is None:
+            continue
+        x, y = place
+        taken[count] = x, y, x + text.width, y + text.height
+        count += 1
+        canvas.rectangle((x, y, x + text.width - 1, y + text.height - 1), background)
+        canvas.bitmap((x, y), text, ink)
+    return len(rows) - (count - len(middles))
+
+
+def _place(
+    text: tuple[int, int],
+    low: FloatArray,
+    high: FloatArray,
+    size: tuple[int, int],
+    taken: FloatArray,
+) -> tuple[int, int] | None:
+    """Find room above a box or below it, inside the picture and off what is taken, (K, 4)."""
+    width, height = text
+    x = int(min(max(low[0], 0.0), max(size[0] - width, 0)))
+    for wanted in (int(low[1]) - height, int(high[1]) + 1):
+        y = min(max(wanted, 0), max(size[1] - height, 0))
+        covers = (
+            (taken[:, 0] < x + width) & (taken[:, 2] > x)
+            & (taken[:, 1] < y + height) & (taken[:, 3] > y)
+        )
+        if not covers.any():
+            return x, y
+    return None
+
+
+@lru_cache(maxsize=_TEXTS_KEPT)
+def _text(text: str, size: int) -> Any:
+    """Write a text with a margin, as a Pillow image of mode L: 255 where there is ink."""
+    from PIL import Image
+    from PIL import ImageDraw
+
+    font = _font(size)
+    margin = max(1, size // 6)
+    ascent, descent = font.getmetrics()
+    width = math.ceil(font.getlength(text)) + 2 * margin
+    mask = Image.new('L', (width, ascent + descent + margin // 2))
+    ImageDraw.Draw(mask).text((margin, 0), text, 255, font)
+    return mask
+
+
+@lru_cache(maxsize=8)
+def _font(size: int) -> Any:
+    """Load the font that comes with Pillow."""
+    from PIL import ImageFont
+
+    return ImageFont.load_default(size)
+
+
+def _ink_on(color: Color) -> Color:
+    """Choose black or white for a text, by the brightness of its background."""
+    red, green, blue = color
+    return _BLACK if 0.299 * red + 0.587 * green + 0.114 * blue > 140.0 else _WHITE
+
+
+def _rgb(color: str) -> Color:
+    """
+    Read '#rrggbb'.
+
+    Pillow would read it again for each line.
+    """
+    red, green, blue = bytes.fromhex(color[1:])
+    return red, green, blue

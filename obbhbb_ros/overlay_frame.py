@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What becomes of the messages of one image: a picture and markers. No ROS in here.
+
+    frame = OverlayFrame({'image': image, 'boxes': boxes}, settings)
+    jpeg = frame.picture().data
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.colors import LAYER_COLORS
+from obbhbb_ros.frames import IMAGE
+from obbhbb_ros.input_frame import InputFrame
+from obbhbb_ros.overlay import Labels
+from obbhbb_ros.overlay import Layer
+from obbhbb_ros.overlay import Picture
+from obbhbb_ros.overlay import draw
+from obbhbb_ros.overlay import label_text
+from obbhbb_ros.overlay import lines
+from obbhbb_ros.pipeline import oriented_boxes
+from obbhbb_ros.settings import OverlaySettings
+from obbhbb_ros.wire.detections import Detections
+from obbhbb_ros.wire.image import WireImage
+from obbhbb_ros.wire.image_marker import line_list
+
+_NOWHERE = np.empty((0, 4, 2))
+_NUMBERS = {layer: number for number, layer in enumerate(LAYER_COLORS)}
+
+
+class OverlayFrame:
+    """
+    An image and the layers that came with it, drawn under one snapshot of the settings.
+
+    Parameters
+    ----------
+    parts : mapping of str to WireImage or Detections
+        The image as `IMAGE`, and the layers by their names in `LAYER_COLORS`.
+    settings : OverlaySettings
+        The settings.
+
+    Attributes
+    ----------
+    image : WireImage
+        The image.
+    """
+
+    def __init__(self, parts: Mapping[str, Any], settings: OverlaySettings) -> None:
+        self.image: WireImage = parts[IMAGE]
+        self._settings = settings
+        self._layers: dict[str, Detections] = {
+            layer: parts[layer] for layer in settings.colors if layer in parts
+        }
+
+    @property
+    def missing(self) -> list[str]:
+        """List the layers that did not come."""
+        return [layer for layer in self._settings.colors if layer not in self._layers]
+
+    @property
+    def boxes_not_drawn(self) -> int:
+        """Count the boxes that are not finite, or empty."""
+        return sum(int(np.isnan(each).any(axis=(1, 2)).sum()) for each in self._corners.values())
+
+    def picture(self) -> Picture:
+        """
+        Draw the picture.
+
+        Raises
+        ------
+        obbhbb_ros.overlay.OverlayError
+            If the image cannot be drawn on.
+        """
+        layers = [
+            Layer(self._settings.colors[layer], corners)
+            for layer, corners in self._corners.items()
+        ]
+        return draw(self.image, layers, self._labels(), self._settings.style)
+
+    def marker(self, layer: str) -> bytes:
+        """Write a layer as a marker; one without lines if it did not come."""
+        image, settings = self.image, self._settings
+        return line_list(
+            image.stamp, image.frame_id, (layer, _NUMBERS[layer]),
+            lines(self._corners.get(layer, _NOWHERE)), settings.colors[layer],
+            settings.style.line_width_for((image.width, image.height)),
+        )
+
+    @cached_property
+    def _corners(self) -> dict[str, FloatArray]:
+        """Give the corners, (N, 4, 2), of each layer, NaN where a box cannot be drawn."""
+        size, settings = (self.image.width, self.image.height), self._settings
+        found = {}
+        for layer, detections in self._layers.items():
+            if layer == 'detections':
+                boxes = oriented_boxes(
+                    detections, settings.input_frame, size, settings.theta_scale
+                )
+            else:
+                boxes = oriented_boxes(detections, InputFrame((0, 0)), None)
+            found[layer] = np.where(boxes.valid[:, None, None], boxes.corners, np.nan)
+        return found
+
+    def _labels(self) -> Labels | None:
+        """Write class and score of the detections, or of what came in their place."""
+        for layer in reversed(LAYER_COLORS):
+            if layer in self._layers:
+                detections = self._layers[layer]
+                scores = detections.scores()
+                texts = list(map(label_text, detections.class_ids(), scores.tolist()))
+                return Labels(self._settings.colors[layer], self._corners[layer], texts, scores)
+        return None
