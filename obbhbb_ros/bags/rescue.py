@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be read of a damaged bag, as an intact one."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+from typing import NamedTuple
+from typing import TypeAlias
+
+import zstandard
+from mcap.reader import make_reader
+from mcap.records import Channel
+from mcap.records import Chunk
+from mcap.records import Message
+from mcap.records import Schema
+from mcap.stream_reader import CRCValidationError
+from mcap.stream_reader import StreamReader
+from mcap.stream_reader import breakup_chunk
+from rosbags.interfaces import Connection
+from rosbags.interfaces import ConnectionExtRosbag2
+from rosbags.interfaces import MessageDefinition
+from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer
+from rosbags.rosbag2.metadata import parse_qos
+
+from obbhbb_ros.bags.topics import VERSION
+from obbhbb_ros.bags.topics import add_topic
+
+_SUFFIXES = ('.mcap', '.db3')
+_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+
+Report: TypeAlias = Callable[[str], None]
+
+
+class _Topic(NamedTuple):
+    """What a storage file says of a topic."""
+
+    name: str
+    msgtype: str
+    encoding: str
+    definition: str
+    digest: str
+    qos: str
+
+
+def storage_files(source: Path) -> list[Path]:
+    """List the storage files of a bag in their order."""
+    found = source.iterdir() if source.is_dir() else [source]
+    files = [each for each in found if any(suffix in each.suffixes for suffix in _SUFFIXES)]
+    return sorted(
+        (each for each in files if each.suffix in (*_SUFFIXES, '.zstd')),
+        key=lambda path: [int(part) if part.isdigit() else part
+                          for part in re.split(r'(\d+)', path.name)],
+    )
+
+
+def rescue(source: Path, target: Path, report: Report) -> int:
+    """
+    Write what can be read of a bag as an intact one, without compression.
+
+    Neither metadata nor indexes are needed, nor the end of a file.
+
+    Parameters
+    ----------
+    source : Path
+        The bag, or one of its storage files.
+    target : Path
+        The bag to make.
+    report : callable
+        Takes what is lost, a line of text each.
+
+    Returns
+    -------
+    int
+        How much was reported.
+
+    Raises
+    ------
+    ValueError
+        If there are no storage files.
+    """
+    files = storage_files(source)
+    if not files:
+        raise ValueError(f'{source}: no .mcap and no .db3 file there')
+    losses: list[str] = []
+
+    def lose(text: str) -> None:
+        losses.append(text)
+        report(text)
+
+    is_mcap = '.mcap' in files[0].suffixes
+    plugin = StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
+    known: dict[_Topic, Connection] = {}
+    with (
+        tempfile.TemporaryDirectory(dir=target.parent.parent) as folder,
+        Writer(target, version=VERSION, storage_plugin=plugin) as writer,
+    ):
+        read = _mcap_messages if is_mcap else _sqlite_messages
+        for path in files:
+            for topic, moment, data in read(_own_copy(path, Path(folder), lose), lose):
+                if topic not in known:
+                    known[topic] = add_topic(writer, _connection(topic))
+                if (plain := _decompressed(data)) is None:
+                    lose(f'{path.name}: a message on {topic.name} at {moment} is damaged')
+                else:
+                    writer.write(known[topic], moment, plain)
+    return len(losses)
+
+
+def _own_copy(path: Path, folder: Path, lose: Report) -> Path:
+    """Copy a storage file where it may change, without compression of the file as a whole."""
+    copy = folder / path.name.removesuffix('.zstd')
+    if path.suffix != '.zstd':
+        if path.suffix == '.mcap':
+            return path
+        # What SQLite had not yet moved into the file when the recorder ended.
+        for each in path.parent.glob(f'{path.name}*'):
+            shutil.copy(each, folder / each.name)
+        return copy
+    with path.open('rb') as stream, copy.open('wb') as out:
+        try:
+            zstandard.ZstdDecompressor().copy_stream(stream, out)
+        except zstandard.ZstdError as error:
+            lose(f'{path.name}: damaged at or before byte {stream.tell()}: {error}')
+    return copy
+
+
+def _decompressed(data: bytes) -> bytes | None:
+    """Decompress a message, if it is compressed; no message begins like that."""
+    if not data.startswith(_ZSTD_MAGIC):
+        return data
+    try:
+        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+    except zstandard.ZstdError:
+        return None
+
+
+def _connection(topic: _Topic) -> Connection:
+    """Describe a topic as `add_topic` takes it."""
+    kinds = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
+    kind = kinds.get(topic.encoding, MessageDefinitionFormat.NONE)
+    return Connection(
+        id=0, topic=topic.name, msgtype=topic.msgtype,
+        msgdef=MessageDefinition(kind, topic.definition), digest=topic.digest, msgcount=0,
+        ext=ConnectionExtRosbag2('cdr', parse_qos(topic.qos)), owner=None,
+    )
+
+
+def _mcap_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, bytes]]:
+    """Read the messages of an MCAP file as they lie there."""
+    with path.open('rb') as stream:
+        schemas, channels = _summary(stream)
+        for record in _records(stream, path.name, lose):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Message):
+                channel = channels.get(record.channel_id)
+                schema = schemas.get(channel.schema_id) if channel else None
+                if channel is None or schema is None:
+                    lose(f'{path.name}: a message at {record.log_time} is of no known topic')
+                    continue
+                topic = _Topic(
+                    channel.topic, schema.name, schema.encoding,
+                    schema.data.decode(errors='replace'),
+                    channel.metadata.get('topic_type_hash', ''),
+                    channel.metadata.get('offered_qos_profiles', ''),
+                )
+                yield topic, record.log_time, record.data
+
+
+def _summary(stream: Any) -> tuple[dict[int, Schema], dict[int, Channel]]:
+    """Read what the end of an MCAP file says of topics, if it is there."""
+    try:
+        summary = make_reader(stream).get_summary()
+    except Exception:
+        summary = None
+    stream.seek(0)
+    return (dict(summary.schemas), dict(summary.channels)) if summary else ({}, {})
+
+
+def _records(stream: Any, name: str, lose: Report) -> Iterator[Any]:
+    """Read the records of an MCAP file, up to where that is no longer possible."""
+    records = iter(StreamReader(stream, emit_chunks=True).records)
+    while True:
+        try:
+            record = next(records, None)
+        # Whatever broken bytes lead to.
+        except Exception as error:
+            lose(f'{name}: nothing can be read behind byte {stream.tell()}: {_text(error)}')
+            return
+        if record is None:
+            return
+        if isinstance(record, Chunk):
+            yield from _unpacked(record, f'{name}: a chunk before byte {stream.tell()}', lose)
+        else:
+            yield record
+
+
+def _unpacked(chunk: Chunk, where: str, lose: Report) -> list[Any]:
+    """Read the records of a chunk."""
+    try:
+        return breakup_chunk(chunk, validate_crc=True)
+    except CRCValidationError:
+        lose(f'{where} has a wrong checksum: what can be read of it is kept')
+    except Exception as error:
+        lose(f'{where} is lost: {_text(error)}')
+        return []
+    try:
+        return breakup_chunk(chunk)
+    except Exception as error:
+        lose(f'{where} is lost: {_text(error)}')
+        return []
+
+
+def _text(error: Exception) -> str:
+    """Say what went wrong, also where an error says nothing."""
+    return str(error) or type(error).__name__
+
+
+def _sqlite_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, bytes]]:
+    """Read the messages of an SQLite3 file in the order in which they were recorded."""
+    with closing(sqlite3.connect(path)) as base:
+        try:
+            # Also opens a file that is shorter than it says.
+            base.execute('PRAGMA writable_schema = ON')
+            topics = _sqlite_topics(base)
+        except sqlite3.Error as error:
+            lose(f'{path.name}: nothing can be read: {error}')
+            return
+        for number in _numbers(base, path.name, lose):
+            try:
+                identity, moment, data = base.execute(
+                    'SELECT topic_id, timestamp, data FROM messages WHERE id = ?', (number,)
+                ).fetchone()
+                topic = topics[identity]
+            except (sqlite3.Error, TypeError, KeyError) as error:
+                lose(f'{path.name}: message {number} is lost: {error}')
+            else:
+                yield topic, moment, data
+
+
+def _sqlite_topics(base: sqlite3.Connection) -> dict[int, _Topic]:
+    """Read the topics; older versions say less of them."""
+    definitions = {}
+    for row in _rows(base, 'message_definitions'):
+        definitions[row['topic_type']] = row['encoding'], row['encoded_message_definition']
+    found = {}
+    for row in _rows(base, 'topics'):
+        encoding, definition = definitions.get(row['type'], ('', ''))
+        found[row['id']] = _Topic(
+            row['name'], row['type'], encoding, definition,
+            row.get('type_description_hash', ''), row.get('offered_qos_profiles', ''),
+        )
+    return found
+
+
+def _rows(base: sqlite3.Connection, table: str) -> list[dict[str, Any]]:
+    """Read a table, if it is there."""
+    if not base.execute('SELECT 1 FROM sqlite_master WHERE name = ?', (table,)).fetchone():
+        return []
+    cursor = base.execute(f'SELECT * FROM {table}')
+    names = [each[0] for each in cursor.description]
+    return [dict(zip(names, row, strict=True)) for row in cursor]
+
+
+def _numbers(base: sqlite3.Connection, name: str, lose: Report) -> list[int]:
+    """List the messages that are there, from both ends up to where the file is damaged."""
+    found: dict[int, None] = {}
+    for order in ('ASC', 'DESC'):
+        try:
+            for (number,) in base.execute(f'SELECT id FROM messages ORDER BY id {order}'):
+                found[number] = None
+        except sqlite3.Error as error:
+            if order == 'ASC':
+                lose(f'{name}: messages behind number {max(found, default=0)} are lost: {error}')
+        else:
+            break
+    return sorted(found)
