@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import shutil
@@ -407,7 +408,7 @@ def _converted(
             yield stretch, convert(stretch.inputs)
         return
     with ProcessPoolExecutor(
-        processors - 1, multiprocessing.get_context('spawn'), _leave_interrupts_to_the_parent
+        processors, multiprocessing.get_context('spawn'), _prepare_process
     ) as pool:
         waiting: deque[tuple[_Stretch, Future[list[_Answer]]]] = deque()
         for stretch in stretches:
@@ -419,6 +420,7 @@ def _converted(
             yield done, future.result()
 
 
-def _leave_interrupts_to_the_parent() -> None:
-    """Ignore Ctrl-C, which a terminal sends to every process."""
+def _prepare_process() -> None:
+    """Leave Ctrl-C to the parent, and garbage collection, which takes a tenth of the time."""
+    gc.disable()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
