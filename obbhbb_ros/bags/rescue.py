@@ -6,24 +6,27 @@ from __future__ import annotations
 import re
 import shutil
 import sqlite3
+import struct
 import tempfile
+import zlib
 from collections.abc import Callable
 from collections.abc import Iterator
 from contextlib import closing
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from typing import NamedTuple
 from typing import TypeAlias
 
+import lz4.frame
 import zstandard
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel
 from mcap.records import Chunk
 from mcap.records import Message
 from mcap.records import Schema
-from mcap.stream_reader import CRCValidationError
 from mcap.stream_reader import StreamReader
-from mcap.stream_reader import breakup_chunk
 from rosbags.interfaces import Connection
 from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.interfaces import MessageDefinition
@@ -36,6 +39,9 @@ from obbhbb_ros.bags.topics import VERSION
 from obbhbb_ros.bags.topics import add_topic
 
 _SUFFIXES = ('.mcap', '.db3')
+# Opcode, length, first and last time, size, checksum, length of the compression's name.
+_CHUNK_HEAD = struct.Struct('<BQQQQII')
+_MOST_OF_A_CHUNK = 2**26
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 
 Report: TypeAlias = Callable[[str], None]
@@ -190,37 +196,65 @@ def _summary(stream: Any) -> tuple[dict[int, Schema], dict[int, Channel]]:
 
 
 def _records(stream: Any, name: str, lose: Report) -> Iterator[Any]:
-    """Read the records of an MCAP file, up to where that is no longer possible."""
+    """Read the records of an MCAP file, those in chunks too, up to where it is possible."""
     records = iter(StreamReader(stream, emit_chunks=True).records)
     while True:
+        start = stream.tell()
         try:
             record = next(records, None)
         # Whatever broken bytes lead to.
         except Exception as error:
-            lose(f'{name}: nothing can be read behind byte {stream.tell()}: {_text(error)}')
+            lose(f'{name}: bytes from {start} on are lost, or damaged: {_text(error)}')
+            stream.seek(start)
+            yield from _beginning_of_chunk(stream.read(_MOST_OF_A_CHUNK))
             return
         if record is None:
             return
-        if isinstance(record, Chunk):
-            yield from _unpacked(record, f'{name}: a chunk before byte {stream.tell()}', lose)
-        else:
+        if not isinstance(record, Chunk):
             yield record
+            continue
+        content = _unpacked(record.compression, record.data)
+        crc = record.uncompressed_crc
+        if len(content) != record.uncompressed_size or (crc and zlib.crc32(content) != crc):
+            lose(f'{name}: the chunk of messages from byte {start} on is damaged')
+        yield from _inner_records(content)
 
 
-def _unpacked(chunk: Chunk, where: str, lose: Report) -> list[Any]:
-    """Read the records of a chunk."""
+def _beginning_of_chunk(data: bytes) -> Iterator[Any]:
+    """Read the records of a chunk whose end is missing."""
+    if len(data) < _CHUNK_HEAD.size or data[0] != Opcode.CHUNK:
+        return
+    *_, length = _CHUNK_HEAD.unpack_from(data)
+    start = _CHUNK_HEAD.size + length
+    compression = data[_CHUNK_HEAD.size : start].decode(errors='replace')
+    # Behind the size of the rest.
+    yield from _inner_records(_unpacked(compression, data[start + 8 :]))
+
+
+def _inner_records(content: bytes) -> Iterator[Any]:
+    """Read records up to the first that is damaged or incomplete."""
     try:
-        return breakup_chunk(chunk, validate_crc=True)
-    except CRCValidationError:
-        lose(f'{where} has a wrong checksum: what can be read of it is kept')
-    except Exception as error:
-        lose(f'{where} is lost: {_text(error)}')
-        return []
+        yield from StreamReader(BytesIO(content), skip_magic=True).records
+    # The end is one, too.
+    except Exception:
+        return
+
+
+def _unpacked(compression: str, data: bytes) -> bytes:
+    """Decompress a chunk, up to where it is damaged."""
+    if not compression:
+        return data
+    unpacked = bytearray()
     try:
-        return breakup_chunk(chunk)
-    except Exception as error:
-        lose(f'{where} is lost: {_text(error)}')
-        return []
+        if compression == 'lz4':
+            unpacked += lz4.frame.LZ4FrameDecompressor().decompress(data)
+        else:
+            stream = zstandard.ZstdDecompressor().stream_reader(data)
+            while block := stream.read(2**16):
+                unpacked += block
+    except (RuntimeError, zstandard.ZstdError):
+        pass
+    return bytes(unpacked)
 
 
 def _text(error: Exception) -> str:
