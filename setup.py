@@ -25,6 +25,7 @@ IMAGES = ['pillow>=9.0']
 PEERS = ['supervision>=0.27']
 GEO = ['geopandas>=0.14', 'pyogrio>=0.7']
 PROGRESS = ['tqdm>=4.60']
+BAGS = ['rosbags>=0.11.9', 'mcap>=1.2', 'pyyaml>=5.4']
 LINT = ['mypy>=1.8', 'ruff>=0.6']
 
 setup(
@@ -54,8 +55,10 @@ setup(
         'geo': GEO,
         'fiona': ['fiona>=1.9'],
         'progress': PROGRESS,
+        'bags': BAGS,
         'test': [
-            'hypothesis>=6.80', 'pytest>=7.4', 'colcon-common-extensions', *GEO, *IMAGES, *LINT,
+            'hypothesis>=6.80', 'pytest>=7.4', 'colcon-common-extensions', *BAGS, *GEO, *IMAGES,
+            *LINT,
         ],
     },
     entry_points={
