@@ -26,7 +26,6 @@ from typing import Any
 from typing import NamedTuple
 from typing import TypeAlias
 
-from mcap.reader import make_reader
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat
 from rosbags.rosbag2 import CompressionMode
@@ -36,6 +35,7 @@ from rosbags.rosbag2 import Writer
 
 from obbhbb_ros.bags.rescue import rescue
 from obbhbb_ros.bags.rescue import storage_files
+from obbhbb_ros.bags.rescue import summary_of
 from obbhbb_ros.bags.topics import OUTPUTS
 from obbhbb_ros.bags.topics import VERSION
 from obbhbb_ros.bags.topics import Topics
@@ -264,10 +264,9 @@ def _writer(source: Path, target: Path, reader: Reader, options: Options) -> Wri
 
 
 def _has_compressed_chunks(path: Path) -> bool:
-    """Tell whether the messages of an intact MCAP file are compressed."""
+    """Tell whether the messages of an MCAP file are compressed."""
     with path.open('rb') as stream:
-        summary = make_reader(stream).get_summary()
-    return bool(summary and any(each.compression for each in summary.chunk_indexes))
+        return any(each.compression for each in summary_of(stream).chunk_indexes)
 
 
 class _Stretch(NamedTuple):
@@ -402,7 +401,7 @@ def _converted(
     many: bool,
 ) -> Iterator[tuple[_Stretch, list[_Answer]]]:
     """Convert stretches in their order, many of them in processes of their own."""
-    processors = len(os.sched_getaffinity(0))
+    processors = os.cpu_count() or 1
     if not many or processors == 1:
         for stretch in stretches:
             yield stretch, convert(stretch.inputs)

@@ -10,15 +10,18 @@ import struct
 import tempfile
 import zlib
 from collections.abc import Callable
+from collections.abc import Iterable
 from collections.abc import Iterator
 from contextlib import closing
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from typing import BinaryIO
 from typing import NamedTuple
 from typing import TypeAlias
 
 import lz4.frame
+import yaml
 import zstandard
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
@@ -27,6 +30,7 @@ from mcap.records import Chunk
 from mcap.records import Message
 from mcap.records import Schema
 from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
 from rosbags.interfaces import Connection
 from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.interfaces import MessageDefinition
@@ -87,7 +91,7 @@ def rescue(source: Path, target: Path, report: Report) -> int:
     Returns
     -------
     int
-        How much was reported.
+        How many messages are lost, as far as that is known; else how many losses were reported.
 
     Raises
     ------
@@ -103,23 +107,61 @@ def rescue(source: Path, target: Path, report: Report) -> int:
         losses.append(text)
         report(text)
 
-    is_mcap = '.mcap' in files[0].suffixes
-    plugin = StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
-    known: dict[_Topic, Connection] = {}
+    read = 0
+    plugin = StoragePlugin.MCAP if '.mcap' in files[0].suffixes else StoragePlugin.SQLITE3
     with (
         tempfile.TemporaryDirectory(dir=target.parent.parent) as folder,
         Writer(target, version=VERSION, storage_plugin=plugin) as writer,
     ):
-        read = _mcap_messages if is_mcap else _sqlite_messages
-        for path in files:
-            for topic, moment, data in read(_own_copy(path, Path(folder), lose), lose):
-                if topic not in known:
-                    known[topic] = add_topic(writer, _connection(topic))
-                if (plain := _decompressed(data)) is None:
-                    lose(f'{path.name}: a message on {topic.name} at {moment} is damaged')
-                else:
-                    writer.write(known[topic], moment, plain)
-    return len(losses)
+        known: dict[_Topic, Connection | None] = {}
+        for topic, moment, data in _messages(files, Path(folder), lose):
+            if topic not in known:
+                known[topic] = _added(writer, topic, lose)
+            plain = _decompressed(data)
+            if plain is None:
+                lose(f'a message on {topic.name} at {moment} is damaged')
+            elif connection := known[topic]:
+                writer.write(connection, moment, plain)
+                read += 1
+    missing = _promised(source) - read
+    if missing > 0:
+        lose(f'{missing} messages are missing')
+    return max(len(losses), missing)
+
+
+def _promised(source: Path) -> int:
+    """Read how many messages a bag says that it has, 0 if it does not say."""
+    try:
+        metadata = yaml.safe_load((source / 'metadata.yaml').read_text(encoding='utf-8'))
+        return int(metadata['rosbag2_bagfile_information']['message_count'])
+    except (OSError, yaml.YAMLError, LookupError, TypeError, ValueError):
+        return 0
+
+
+def _messages(
+    files: Iterable[Path], folder: Path, lose: Report
+) -> Iterator[tuple[_Topic, int, bytes]]:
+    """Read the messages of storage files."""
+    for path in files:
+        copy = _own_copy(path, folder, lose)
+        read = _mcap_messages if copy.suffix == '.mcap' else _sqlite_messages
+        yield from read(copy, lose)
+
+
+def _added(writer: Writer, topic: _Topic, lose: Report) -> Connection | None:
+    """Add a topic to a bag; None if its description is damaged."""
+    kinds = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
+    kind = kinds.get(topic.encoding, MessageDefinitionFormat.NONE)
+    try:
+        return add_topic(writer, Connection(
+            id=0, topic=topic.name, msgtype=topic.msgtype,
+            msgdef=MessageDefinition(kind, topic.definition), digest=topic.digest, msgcount=0,
+            ext=ConnectionExtRosbag2('cdr', parse_qos(topic.qos)), owner=None,
+        ))
+    # Whatever a library says of broken bytes.
+    except Exception as error:
+        lose(f'the topic {topic.name} is lost: {_text(error)}')
+        return None
 
 
 def _own_copy(path: Path, folder: Path, lose: Report) -> Path:
@@ -150,21 +192,11 @@ def _decompressed(data: bytes) -> bytes | None:
         return None
 
 
-def _connection(topic: _Topic) -> Connection:
-    """Describe a topic as `add_topic` takes it."""
-    kinds = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
-    kind = kinds.get(topic.encoding, MessageDefinitionFormat.NONE)
-    return Connection(
-        id=0, topic=topic.name, msgtype=topic.msgtype,
-        msgdef=MessageDefinition(kind, topic.definition), digest=topic.digest, msgcount=0,
-        ext=ConnectionExtRosbag2('cdr', parse_qos(topic.qos)), owner=None,
-    )
-
-
 def _mcap_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, bytes]]:
     """Read the messages of an MCAP file as they lie there."""
     with path.open('rb') as stream:
-        schemas, channels = _summary(stream)
+        summary = summary_of(stream)
+        schemas, channels = summary.schemas, summary.channels
         for record in _records(stream, path.name, lose):
             if isinstance(record, Schema):
                 schemas[record.id] = record
@@ -185,17 +217,18 @@ def _mcap_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, byte
                 yield topic, record.log_time, record.data
 
 
-def _summary(stream: Any) -> tuple[dict[int, Schema], dict[int, Channel]]:
-    """Read what the end of an MCAP file says of topics, if it is there."""
+def summary_of(stream: BinaryIO) -> Summary:
+    """Read what the end of an MCAP file says of it, nothing if it cannot be read."""
     try:
         summary = make_reader(stream).get_summary()
+    # Whatever broken bytes lead to.
     except Exception:
         summary = None
     stream.seek(0)
-    return (dict(summary.schemas), dict(summary.channels)) if summary else ({}, {})
+    return summary or Summary()
 
 
-def _records(stream: Any, name: str, lose: Report) -> Iterator[Any]:
+def _records(stream: BinaryIO, name: str, lose: Report) -> Iterator[Any]:
     """Read the records of an MCAP file, those in chunks too, up to where it is possible."""
     records = iter(StreamReader(stream, emit_chunks=True).records)
     while True:
