@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
+from concurrent.futures import BrokenExecutor
 from concurrent.futures import Future
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -406,20 +407,29 @@ def _converted(
         for stretch in stretches:
             yield stretch, convert(stretch.inputs)
         return
-    with ProcessPoolExecutor(
-        processors, multiprocessing.get_context('spawn'), _prepare_process
-    ) as pool:
-        waiting: deque[tuple[_Stretch, Future[list[_Answer]]]] = deque()
-        for stretch in stretches:
-            waiting.append((stretch, pool.submit(convert, stretch.inputs)))
-            if len(waiting) > _STRETCHES_AHEAD:
-                done, future = waiting.popleft()
+    context = multiprocessing.get_context('spawn')
+    # Garbage collection would take a tenth of their time.
+    prepare = gc.disable
+    try:
+        with ProcessPoolExecutor(processors, context, prepare) as pool:
+            _start(pool, processors)
+            waiting: deque[tuple[_Stretch, Future[list[_Answer]]]] = deque()
+            for stretch in stretches:
+                waiting.append((stretch, pool.submit(convert, stretch.inputs)))
+                if len(waiting) > _STRETCHES_AHEAD:
+                    done, future = waiting.popleft()
+                    yield done, future.result()
+            for done, future in waiting:
                 yield done, future.result()
-        for done, future in waiting:
-            yield done, future.result()
+    except BrokenExecutor as error:
+        raise ChildProcessError(f'a process that converts messages has ended: {error}') from None
 
 
-def _prepare_process() -> None:
-    """Leave Ctrl-C to the parent, and garbage collection, which takes a tenth of the time."""
-    gc.disable()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _start(pool: ProcessPoolExecutor, processes: int) -> None:
+    """Start the processes without SIGINT, which a terminal sends to each of them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        for _ in range(processes):
+            pool.submit(int)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
+import signal
 import sqlite3
 from collections.abc import Callable
 from collections.abc import Sequence
@@ -29,6 +31,8 @@ from recordings import typestore
 pytest.importorskip('mcap')
 
 from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores
 from rosbags.typesys import get_types_from_msg
@@ -499,6 +503,68 @@ def test_a_damaged_chunk_costs_no_other(tmp_path: Path, run: Any, compression: s
     boxes, _ = expected(given)
     assert sum(each in boxes for each in on('/boxes', made)) >= len(good)
     assert 'message' in err
+
+
+def record_as_rosbag2(path: Path, messages: Sequence[Recorded], compression: str) -> None:
+    """Write an MCAP file with checksums and with the hash of each type at its topic."""
+    store = typestore()
+    with path.open('wb') as stream:
+        writer = McapWriter(
+            stream, chunk_size=100_000, compression=CompressionType[compression], enable_crcs=True
+        )
+        writer.start(profile='ros2', library='test')
+        channels = {}
+        for topic, kind in TOPICS.items():
+            text, _ = store.generate_msgdef(TYPES[kind], ros_version=2)
+            schema = writer.register_schema(TYPES[kind], 'ros2msg', text.encode())
+            metadata = {'topic_type_hash': store.hash_rihs01(TYPES[kind])}
+            channels[topic] = writer.register_channel(topic, 'cdr', schema, metadata)
+        for each in messages:
+            writer.add_message(channels[each.topic], each.time, each.data, each.time - 1)
+        writer.finish()
+
+
+@pytest.mark.parametrize('compression', ['NONE', 'LZ4', 'ZSTD'])
+def test_a_wrong_checksum_is_reported_and_the_rest_is_kept(
+    tmp_path: Path, run: Any, compression: str
+) -> None:
+    given, bag = long_scene(), tmp_path / 'in.mcap'
+    record_as_rosbag2(bag, given, compression)
+    code, _, err = run('--strict', source=bag)
+    assert (code, err) == (0, '')
+    assert answers(tmp_path / 'out') == expected(given)
+    shutil.rmtree(tmp_path / 'out')
+    with bag.open('rb') as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[3]
+    data = bytearray(bag.read_bytes())
+    data[chunk.chunk_start_offset + chunk.chunk_length - 300] ^= 1
+    bag.write_bytes(data)
+    code, _, err = run('--strict', source=bag)
+    assert code == 1
+    assert f'from byte {chunk.chunk_start_offset} on is damaged' in err
+    kept = set(on('/detections', messages_of(tmp_path / 'out')))
+    assert len(kept & set(on('/detections', given))) >= 24
+    with Reader(tmp_path / 'out') as reader:
+        assert [each.digest for each in reader.connections if each.topic in TOPICS] == [
+            typestore().hash_rihs01(TYPES[kind]) for kind in ('CameraInfo', 'Detection2DArray')
+        ]
+
+
+def test_a_process_that_ends_is_an_error(
+    bag: Path, tmp_path: Path, run: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replay, 'FEW_MESSAGES', 0)
+    monkeypatch.setattr(replay.os, 'cpu_count', lambda: 2)
+    monkeypatch.setattr(replay, '_answers', fail)
+    code, _, err = run()
+    assert code == 1
+    assert 'a process that converts messages has ended' in err
+    assert [path.name for path in tmp_path.iterdir()] == ['in']
+
+
+def fail(*_: object) -> None:
+    """End the process, as the kernel does where memory runs out."""
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_damage_within_sqlite3_costs_only_what_is_damaged(tmp_path: Path, run: Any) -> None:
