@@ -10,6 +10,7 @@ import signal
 import sqlite3
 from collections.abc import Callable
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -437,7 +438,8 @@ def lines(text: str) -> list[str]:
     return [line for line in text.splitlines() if line.startswith('obbhbb: ')]
 
 
-def long_scene() -> list[Recorded]:
+@cache
+def long_scene() -> Sequence[Recorded]:
     """Give enough for many chunks and pages, in noise that does not compress well."""
     random = np.random.default_rng(1)
     found = [Recorded('/camera_info', 1, camera_info(*SIZE))]
