@@ -466,17 +466,20 @@ def test_a_bag_without_metadata_is_read_all_the_same(
         assert reader.connections[0].digest == typestore().hash_rihs01(TYPES['CameraInfo'])
 
 
-@pytest.mark.parametrize('has_metadata', [True, False])
-@pytest.mark.parametrize(('storage', 'compression'), WAYS)
-def test_of_a_truncated_bag_all_that_is_there_is_converted(
-    tmp_path: Path, run: Any, storage: str, compression: str, has_metadata: bool
-) -> None:
-    bag = record(tmp_path / 'in', TOPICS, long_scene(), storage, compression)
+def truncate(bag: Path) -> None:
+    """Take the last third of the storage file away."""
     (file,) = (path for path in bag.iterdir() if path.suffix != '.yaml')
     data = file.read_bytes()
     file.write_bytes(data[: len(data) * 7 // 10])
-    if not has_metadata:
-        (bag / 'metadata.yaml').unlink()
+
+
+@pytest.mark.parametrize(('storage', 'compression'), WAYS)
+def test_of_a_truncated_bag_all_that_is_there_is_converted(
+    tmp_path: Path, run: Any, storage: str, compression: str
+) -> None:
+    bag = record(tmp_path / 'in', TOPICS, long_scene(), storage, compression)
+    truncate(bag)
+    (bag / 'metadata.yaml').unlink()
     code, out, err = run('--strict')
     assert code == 1
     assert 'in is damaged: ' in err
@@ -484,6 +487,18 @@ def test_of_a_truncated_bag_all_that_is_there_is_converted(
     kept = len(on('/detections', messages_of(tmp_path / 'out')))
     assert 10 <= kept < 30
     assert answers(tmp_path / 'out') == expected(long_scene()[: kept + 1])
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_what_is_missing_is_counted_where_metadata_say_how_much_there_was(
+    tmp_path: Path, run: Any, storage: str
+) -> None:
+    truncate(record(tmp_path / 'in', TOPICS, long_scene(), storage))
+    code, out, err = run()
+    assert code == 0
+    missing = 30 - len(on('/detections', messages_of(tmp_path / 'out')))
+    assert f'obbhbb: {missing} messages are missing' in err
+    assert f'messages or parts lost: {missing}' in out
 
 
 @pytest.mark.parametrize('compression', ['none', 'storage'])
