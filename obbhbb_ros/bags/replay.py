@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+import sqlite3
 from collections import Counter
 from collections import deque
 from collections.abc import Callable
@@ -37,11 +38,12 @@ from rosbags.rosbag2 import Writer
 from obbhbb_ros.bags.rescue import rescue
 from obbhbb_ros.bags.rescue import storage_files
 from obbhbb_ros.bags.rescue import summary_of
+from obbhbb_ros.bags.topics import CAMERA_INFO_TYPE
 from obbhbb_ros.bags.topics import OUTPUTS
 from obbhbb_ros.bags.topics import VERSION
 from obbhbb_ros.bags.topics import Topics
 from obbhbb_ros.bags.topics import add_output
-from obbhbb_ros.bags.topics import add_topic
+from obbhbb_ros.bags.topics import add_topics
 from obbhbb_ros.bags.topics import choose
 from obbhbb_ros.files import making
 from obbhbb_ros.pipeline import Output
@@ -179,7 +181,7 @@ def add_boxes(
     """
     if not source.exists():
         raise FileNotFoundError(f'no bag: {source}')
-    with making(target) as partial_bag:
+    with making(target) as partial_bag, _sqlite_errors_are_os_errors(target):
         try:
             return _replay(source, partial_bag, options, report, progress)
         except DamagedBagError as error:
@@ -192,6 +194,15 @@ def add_boxes(
         return tally
 
 
+@contextmanager
+def _sqlite_errors_are_os_errors(target: Path) -> Iterator[None]:
+    """Report a full disk alike, whatever the storage."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise OSError(f'{target}: {error}') from error
+
+
 def _replay(
     source: Path, target: Path, options: Options, report: Report, progress: Progress
 ) -> Tally:
@@ -202,7 +213,7 @@ def _replay(
         kept = _kept(reader.connections, topics, options.replace)
         with _writer(source, target, reader, options) as writer:
             replay = _Replay(reader, topics, settings, report)
-            copies = {each.id: add_topic(writer, each) for each in kept}
+            copies = add_topics(writer, kept)
             answers = [add_output(writer, topic, kept) for topic in topics.outputs]
             replay.write(writer, copies, answers, progress)
     return replay.tally
@@ -211,6 +222,8 @@ def _replay(
 @contextmanager
 def _opened(source: Path) -> Iterator[Reader]:
     """Open a bag for reading."""
+    if source.is_dir() and not (source / 'metadata.yaml').exists():
+        raise DamagedBagError('no metadata.yaml')
     try:
         reader = Reader(source)
         reader.open()
@@ -344,6 +357,11 @@ class _Replay:
         named: bool = connection.topic == topics.detections
         return named and connection.msgtype.endswith(f'/{topics.input_type.name}')
 
+    def _is_camera_info(self, connection: Connection) -> bool:
+        """Tell whether messages have the size of the image."""
+        named: bool = connection.topic == self.tally.topics.camera_info
+        return named and connection.msgtype == CAMERA_INFO_TYPE
+
     def _messages(self) -> Iterator[tuple[Connection, int, bytes]]:
         """Read all messages."""
         count = 0
@@ -368,7 +386,7 @@ class _Replay:
             size += len(data)
             if self._is_input(connection):
                 stretch.inputs.append((data, self._camera_size))
-            elif connection.topic == self.tally.topics.camera_info:
+            elif self._is_camera_info(connection):
                 self._learn_size(connection, data)
             if size > _STRETCH_BYTES:
                 yield stretch

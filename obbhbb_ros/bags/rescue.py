@@ -23,6 +23,7 @@ from typing import TypeAlias
 import lz4.frame
 import yaml
 import zstandard
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel
@@ -113,14 +114,15 @@ def rescue(source: Path, target: Path, report: Report) -> int:
         tempfile.TemporaryDirectory(dir=target.parent.parent) as folder,
         Writer(target, version=VERSION, storage_plugin=plugin) as writer,
     ):
-        known: dict[_Topic, Connection | None] = {}
+        known: dict[tuple[str, str, str], Connection | None] = {}
         for topic, moment, data in _messages(files, Path(folder), lose):
-            if topic not in known:
-                known[topic] = _added(writer, topic, lose)
+            key = topic.name, topic.msgtype, topic.qos
+            if key not in known:
+                known[key] = _added(writer, topic, lose)
             plain = _decompressed(data)
             if plain is None:
                 lose(f'a message on {topic.name} at {moment} is damaged')
-            elif connection := known[topic]:
+            elif connection := known[key]:
                 writer.write(connection, moment, plain)
                 read += 1
     missing = _promised(source) - read
@@ -237,7 +239,7 @@ def _records(stream: BinaryIO, name: str, lose: Report) -> Iterator[Any]:
             record = next(records, None)
         # Whatever broken bytes lead to.
         except Exception as error:
-            lose(f'{name}: bytes from {start} on are lost, or damaged: {_text(error)}')
+            lose(f'{name}: nothing, or not all, can be read from byte {start} on: {_text(error)}')
             stream.seek(start)
             yield from _beginning_of_chunk(stream.read(_MOST_OF_A_CHUNK))
             return
@@ -292,6 +294,8 @@ def _unpacked(compression: str, data: bytes) -> bytes:
 
 def _text(error: Exception) -> str:
     """Say what went wrong, also where an error says nothing."""
+    if isinstance(error, EndOfFile):
+        return 'the file ends there'
     return str(error) or type(error).__name__
 
 

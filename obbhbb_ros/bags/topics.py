@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from collections.abc import Iterable
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -158,6 +159,16 @@ def add_topic(writer: Writer, connection: Connection) -> Connection:
         serialization_format=connection.ext.serialization_format,
         offered_qos_profiles=connection.ext.offered_qos_profiles,
     )
+
+
+def add_topics(writer: Writer, connections: Iterable[Connection]) -> dict[int, Connection]:
+    """Add topics as they were in another bag, by their number there; equal ones become one."""
+    added: dict[int, Connection] = {}
+    for each in connections:
+        what = each.topic, each.msgtype, each.ext
+        same = (done for done in writer.connections if (done.topic, done.msgtype, done.ext) == what)
+        added[each.id] = next(same, None) or add_topic(writer, each)
+    return added
 
 
 def add_output(writer: Writer, topic: str, connections: Collection[Connection]) -> Connection:
