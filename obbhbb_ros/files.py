@@ -71,6 +71,33 @@ def replacing_all(path: Path, stale: Collection[str] = ()) -> Iterator[Path]:
             _put_in_place(each, path.with_name(each.name))
 
 
+@contextmanager
+def making(path: Path) -> Iterator[Path]:
+    """
+    Provide the name of a temporary folder in a `with` block that becomes `path` if it succeeds.
+
+    The block makes the folder. Missing parent folders are created. After any failure neither
+    `path` nor anything temporary is there. The temporary folder has the same name, in another
+    temporary folder beside `path`, where the block may put what it needs meanwhile.
+
+    Raises
+    ------
+    FileExistsError
+        If `path` exists.
+    """
+    if path.exists():
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+    path = Path(os.path.realpath(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix='.', dir=path.parent) as folder:
+        partial = Path(folder) / path.name
+        yield partial
+        for made in partial.iterdir():
+            with made.open('rb') as stream:
+                os.fsync(stream.fileno())
+        partial.rename(path)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text as UTF-8 with `replacing`."""
     write_pieces(path, (text,))

@@ -11,7 +11,7 @@ from dataclasses import field
 from enum import Enum
 from typing import Any
 
-from obbhbb_ros.downlink.pairing import Stamp
+from obbhbb_ros.downlink.stamps import Stamp
 
 IMAGE = 'image'
 """The part without which nothing can be drawn."""

@@ -5,12 +5,17 @@ What happens to a message: bytes and settings in, bytes and counts out. No ROS i
     batch = Batch(data, INPUT_TYPES['Detection2DArray'], settings, image_size)
     boxes = batch.boxes_message()
     regions = batch.crop_regions_message()
+
+`answer` decides what is published for a message, for the node and for bags alike.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +35,123 @@ from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import InputType
 
 OUTER = (HullRule('outer'),)
+
+
+@dataclass(frozen=True)
+class Output:
+    """
+    A topic that is answered on.
+
+    Attributes
+    ----------
+    publish : callable
+        Takes the bytes of a message.
+    wanted : callable
+        Tells, when a message would be made, whether anybody wants it.
+    """
+
+    publish: Callable[[bytes], object]
+    wanted: Callable[[], object] = lambda: True
+
+
+NOBODY = Output(lambda data: None, lambda: False)
+
+
+class Outputs(NamedTuple):
+    """The topics that a message is answered on."""
+
+    boxes: Output
+    crop_regions: Output
+    crop_sources: Output = NOBODY
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """
+    What became of a message.
+
+    Attributes
+    ----------
+    counts : Counter of str
+        As in the diagnostics.
+    complaints : dict of str
+        What went wrong, by kind.
+    """
+
+    counts: Counter[str]
+    complaints: dict[str, str]
+
+
+def answer(
+    data: bytes,
+    input_type: InputType,
+    settings: Settings,
+    camera_size: tuple[int, int],
+    outputs: Outputs,
+) -> Outcome:
+    """
+    Convert one message under one snapshot of the settings, and publish what is wanted.
+
+    Parameters
+    ----------
+    data : bytes
+        The serialized message.
+    input_type : InputType
+        Its type.
+    settings : Settings
+        The settings.
+    camera_size : tuple of int
+        Width and height of the image by the last camera info, pixels; 0 where there was none.
+    outputs : Outputs
+        Where the answers go.
+
+    Returns
+    -------
+    Outcome
+        What became of it.
+
+    Raises
+    ------
+    obbhbb_ros.wire.cdr.WireError
+        If the bytes are no such message.
+    """
+    width, height = (
+        given or seen for given, seen in zip(settings.image_size, camera_size, strict=True)
+    )
+    image_size = (width, height) if width and height else None
+    if image_size is None and not settings.input_frame.is_image:
+        return _without_image_size(Counter(), 'no boxes')
+    batch = Batch(data, input_type, settings, image_size)
+    wants_boxes = outputs.boxes.wanted()
+    if wants_boxes:
+        outputs.boxes.publish(batch.boxes_message())
+    # Asked only now: whoever waits for the boxes does not wait for this.
+    wants_sources, wants_regions = outputs.crop_sources.wanted(), outputs.crop_regions.wanted()
+    outcome = Outcome(batch.counts, {})
+    if image_size is None:
+        missed = {'no crop regions': wants_regions or wants_sources,
+                  'boxes are not clipped': wants_boxes and settings.clip_boxes}
+        if any(missed.values()):
+            consequence = ', '.join(each for each in missed if missed[each])
+            outcome = _without_image_size(batch.counts, consequence)
+    else:
+        # First, so that they are there when the regions are cut.
+        if wants_sources:
+            outputs.crop_sources.publish(batch.crop_sources_message())
+        if wants_regions:
+            outputs.crop_regions.publish(batch.crop_regions_message())
+    if batch.complaint:
+        outcome.complaints['invalid detections'] = batch.complaint
+    return outcome
+
+
+def _without_image_size(counts: Counter[str], consequence: str) -> Outcome:
+    """Count a message that needs the size of the image, and say what follows."""
+    counts['messages_without_image_size'] += 1
+    return Outcome(counts, {
+        'no image size': f'{consequence} without the size of the image: set image_width and '
+        'image_height, or publish camera_info'
+    })
 
 
 class Batch:

@@ -11,15 +11,17 @@ from typing import TypeVar
 Item = TypeVar('Item')
 
 
-def track(items: Iterable[Item], label: str, total: int | None = None) -> Iterator[Item]:
-    """Yield images, and show on stderr how many are done; `label` says what is done."""
+def track(
+    items: Iterable[Item], label: str, total: int | None = None, unit: str = 'images'
+) -> Iterator[Item]:
+    """Yield items, and show on stderr how many are done; `label` says what is done."""
     if sys.stderr.isatty():
         try:
             from tqdm import tqdm
         except ModuleNotFoundError:
             pass
         else:
-            items = tqdm(items, desc=label, total=total, unit=' images', leave=False)
+            items = tqdm(items, desc=label, total=total, unit=f' {unit}', leave=False)
     yield from items
 
 

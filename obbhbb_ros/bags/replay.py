@@ -1,0 +1,456 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag with what the node would have sent, message for message."""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import os
+import shutil
+import signal
+import sqlite3
+from collections import Counter
+from collections import deque
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
+from collections.abc import Mapping
+from collections.abc import Sequence
+from concurrent.futures import BrokenExecutor
+from concurrent.futures import Future
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from dataclasses import field
+from functools import partial
+from pathlib import Path
+from typing import Any
+from typing import NamedTuple
+from typing import TypeAlias
+
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import CompressionFormat
+from rosbags.rosbag2 import CompressionMode
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer
+
+from obbhbb_ros.bags.rescue import rescue
+from obbhbb_ros.bags.rescue import storage_files
+from obbhbb_ros.bags.rescue import summary_of
+from obbhbb_ros.bags.topics import CAMERA_INFO_TYPE
+from obbhbb_ros.bags.topics import OUTPUTS
+from obbhbb_ros.bags.topics import VERSION
+from obbhbb_ros.bags.topics import Topics
+from obbhbb_ros.bags.topics import add_output
+from obbhbb_ros.bags.topics import add_topics
+from obbhbb_ros.bags.topics import choose
+from obbhbb_ros.files import making
+from obbhbb_ros.pipeline import Output
+from obbhbb_ros.pipeline import Outputs
+from obbhbb_ros.pipeline import answer
+from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings import Settings
+from obbhbb_ros.settings import Values
+from obbhbb_ros.settings import read_values
+from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.image import read_image_size
+from obbhbb_ros.wire.layouts import INPUT_TYPES
+
+# Converting more than this many messages takes longer than starting a process.
+FEW_MESSAGES = 4000
+
+UNREADABLE = 'unreadable message'
+
+_STRETCH_BYTES = 2**20
+_STRETCHES_AHEAD = 8
+
+Report: TypeAlias = Callable[[str], None]
+Progress: TypeAlias = Callable[[Iterable[Any], int], Iterable[Any]]
+
+
+class DamagedBagError(ValueError):
+    """A bag that cannot be read, or not to its end."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """
+    What to convert and how.
+
+    Attributes
+    ----------
+    topic, camera_info : str
+        As `choose` takes them.
+    params_file : Path, optional
+        ROS parameter file of the node; the defaults apply without one.
+    node : str
+        Full name of the node in it; `obb_to_hbb` in the namespace of the input by default.
+    storage, compression : str
+        Names of a `StoragePlugin` and of a `CompressionMode`, in lower case; those of the source
+        by default.
+    replace : bool
+        Whether boxes and crop regions in the source are left out.
+    """
+
+    topic: str = ''
+    camera_info: str = ''
+    params_file: Path | None = None
+    node: str = ''
+    storage: str = ''
+    compression: str = ''
+    replace: bool = False
+
+
+@dataclass
+class Tally:
+    """
+    What became of a bag.
+
+    Attributes
+    ----------
+    topics : Topics
+        What was converted.
+    counts : Counter of str
+        As in the diagnostics of the node.
+    published : Counter of str
+        Messages written, by topic of the answers.
+    copied : int
+        Messages of the source that were written.
+    lost : int
+        Messages, or parts of the bag with an unknown number of them, that could not be read.
+    """
+
+    topics: Topics
+    counts: Counter[str] = field(default_factory=Counter)
+    published: Counter[str] = field(default_factory=Counter)
+    copied: int = 0
+    lost: int = 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether every message was read, and every detection converted."""
+        bad = ('messages_unreadable', 'messages_without_image_size', 'detections_dropped')
+        return not self.lost and not any(name.startswith(bad) for name in self.counts)
+
+    def __str__(self) -> str:
+        """Write it as lines of text."""
+        topics, rows = self.topics, {'messages copied': self.copied}
+        rows |= {f'messages on {topic}': self.published[topic] for topic in topics.outputs}
+        rows |= dict(sorted(self.counts.items()))
+        if self.lost:
+            rows['messages or parts lost'] = self.lost
+        first = f'{topics.detections} ({topics.input_type.package}/{topics.input_type.name})'
+        return '\n'.join([first, *(f'  {name}: {count}' for name, count in rows.items())])
+
+
+def add_boxes(
+    source: Path,
+    target: Path,
+    options: Options,
+    report: Report = print,
+    progress: Progress = lambda messages, total: messages,
+) -> Tally:
+    """
+    Write a bag again, with the boxes and crop regions that the node would have sent.
+
+    Parameters
+    ----------
+    source : Path
+        A bag, or a storage file of one.
+    target : Path
+        The bag to make; it appears when it is complete.
+    options : Options
+        What to convert and how.
+    report : callable
+        Takes what is wrong with the bag or with a message, a line of text each.
+    progress : callable
+        Takes messages and their number and yields the messages.
+
+    Returns
+    -------
+    Tally
+        What was read, written and lost.
+
+    Raises
+    ------
+    ValueError
+        If the source holds nothing that can be read, the topic is not clear, or parameters cannot
+        be used.
+    OSError
+        If a file cannot be read or written, or the target exists.
+    """
+    if not source.exists():
+        raise FileNotFoundError(f'no bag: {source}')
+    with making(target) as partial_bag, _sqlite_errors_are_os_errors(target):
+        try:
+            return _replay(source, partial_bag, options, report, progress)
+        except DamagedBagError as error:
+            report(f'{source} is damaged: {error}; what can be read is converted')
+        shutil.rmtree(partial_bag, ignore_errors=True)
+        rescued = partial_bag.parent / 'rescued' / partial_bag.name
+        lost = rescue(source, rescued, report)
+        tally = _replay(rescued, partial_bag, options, report, progress)
+        tally.lost += lost
+        return tally
+
+
+@contextmanager
+def _sqlite_errors_are_os_errors(target: Path) -> Iterator[None]:
+    """Report a full disk alike, whatever the storage."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise OSError(f'{target}: {error}') from error
+
+
+def _replay(
+    source: Path, target: Path, options: Options, report: Report, progress: Progress
+) -> Tally:
+    """Write a bag again, if it can be read to its end."""
+    with _opened(source) as reader:
+        topics = choose(reader.connections, options.topic, options.camera_info)
+        settings = _settings(topics, options, report)
+        kept = _kept(reader.connections, topics, options.replace)
+        with _writer(source, target, reader, options) as writer:
+            replay = _Replay(reader, topics, settings, report)
+            copies = add_topics(writer, kept)
+            answers = [add_output(writer, topic, kept) for topic in topics.outputs]
+            replay.write(writer, copies, answers, progress)
+    return replay.tally
+
+
+@contextmanager
+def _opened(source: Path) -> Iterator[Reader]:
+    """Open a bag for reading."""
+    if source.is_dir() and not (source / 'metadata.yaml').exists():
+        raise DamagedBagError('no metadata.yaml')
+    try:
+        reader = Reader(source)
+        reader.open()
+    except PermissionError:
+        raise
+    # Whatever a library says of broken bytes.
+    except Exception as error:
+        raise DamagedBagError(str(error)) from error
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def _settings(topics: Topics, options: Options, report: Report) -> Settings:
+    """Read the parameters that the node would have."""
+    values: Values = {}
+    if options.params_file:
+        namespace = topics.detections.rpartition('/')[0]
+        values = read_values(options.params_file, options.node or f'{namespace}/obb_to_hbb')
+    classes = [*OBB_TO_HBB.mentioned_classes(values), *OBB_TO_HBB.class_ids(values)]
+    unknown = sorted(values.keys() - OBB_TO_HBB.parameters(classes).keys())
+    if unknown:
+        report(f'{options.params_file}: unknown parameters, ignored: {", ".join(unknown)}')
+    return OBB_TO_HBB.settings(values)
+
+
+def _kept(connections: Sequence[Connection], topics: Topics, replace: bool) -> list[Connection]:
+    """List what is copied: all but former boxes and crop regions."""
+    there = [each.topic for each in connections if each.topic in topics.outputs]
+    if there and not replace:
+        raise ValueError(f'the bag has {" and ".join(there)} already; --replace leaves them out')
+    return [each for each in connections if each.topic not in there]
+
+
+def _writer(source: Path, target: Path, reader: Reader, options: Options) -> Writer:
+    """Make a writer of a bag that is stored like the source, as far as options do not differ."""
+    files = storage_files(source)
+    is_mcap = any('.mcap' in each.suffixes for each in files)
+    storage = options.storage or ('mcap' if is_mcap else 'sqlite3')
+    compression = options.compression or reader.compression_mode or ''
+    if not compression and storage == 'mcap' and is_mcap and _has_compressed_chunks(files[0]):
+        compression = 'storage'
+    if (storage, compression) == ('sqlite3', 'storage'):
+        raise ValueError('compression storage is one of mcap, not of sqlite3')
+    writer = Writer(target, version=VERSION, storage_plugin=StoragePlugin[storage.upper()])
+    mode = CompressionMode[(compression or 'none').upper()]
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    for key, value in (reader.storage.metadata.custom or {}).items():
+        writer.set_custom_data(key, str(value))
+    return writer
+
+
+def _has_compressed_chunks(path: Path) -> bool:
+    """Tell whether the messages of an MCAP file are compressed."""
+    with path.open('rb') as stream:
+        return any(each.compression for each in summary_of(stream).chunk_indexes)
+
+
+class _Stretch(NamedTuple):
+    """Messages of a bag in their order, and what of them is converted: bytes, camera size."""
+
+    messages: list[tuple[Connection, int, bytes]]
+    inputs: list[tuple[bytes, tuple[int, int]]]
+
+
+class _Answer(NamedTuple):
+    """What the node would send for a message, by output, and what became of the message."""
+
+    messages: dict[int, bytes]
+    counts: Counter[str]
+    complaints: dict[str, str]
+
+
+def _answers(
+    input_type: str, settings: Settings, inputs: Iterable[tuple[bytes, tuple[int, int]]]
+) -> list[_Answer]:
+    """Convert messages, given with the camera size of their time."""
+    found = []
+    for data, camera_size in inputs:
+        messages: dict[int, bytes] = {}
+        outputs = Outputs(
+            *(Output(partial(messages.__setitem__, i)) for i in range(len(OUTPUTS)))
+        )
+        try:
+            outcome = answer(data, INPUT_TYPES[input_type], settings, camera_size, outputs)
+        except WireError as error:
+            counts = Counter({'messages_unreadable': 1})
+            found.append(_Answer({}, counts, {UNREADABLE: f'cannot be read: {error}'}))
+        else:
+            found.append(_Answer(messages, outcome.counts, outcome.complaints))
+    return found
+
+
+class _Replay:
+    """The passage of the messages of one bag."""
+
+    def __init__(
+        self, reader: Reader, topics: Topics, settings: Settings, report: Report
+    ) -> None:
+        self.tally = Tally(topics)
+        self._reader = reader
+        self._report = report
+        self._convert = partial(_answers, topics.input_type.name, settings)
+        self._camera_size = (0, 0)
+        self._cameras = 0
+        self._complaints: set[str] = set()
+
+    def write(
+        self,
+        writer: Writer,
+        copies: Mapping[int, Connection],
+        outputs: Sequence[Connection],
+        progress: Progress,
+    ) -> None:
+        """Write every message, and the answers behind those that have any, in their order."""
+        stretches = self._stretches(progress(self._messages(), self._reader.message_count))
+        expected = sum(each.msgcount for each in self._reader.connections if self._is_input(each))
+        for stretch, answers in _converted(stretches, self._convert, expected > FEW_MESSAGES):
+            waiting = iter(answers)
+            for connection, moment, data in stretch.messages:
+                if copy := copies.get(connection.id):
+                    writer.write(copy, moment, data)
+                    self.tally.copied += 1
+                if self._is_input(connection):
+                    for i, message in self._noted(next(waiting)).items():
+                        writer.write(outputs[i], moment, message)
+                        self.tally.published[outputs[i].topic] += 1
+
+    def _is_input(self, connection: Connection) -> bool:
+        """Tell whether messages are converted."""
+        topics = self.tally.topics
+        named: bool = connection.topic == topics.detections
+        return named and connection.msgtype.endswith(f'/{topics.input_type.name}')
+
+    def _is_camera_info(self, connection: Connection) -> bool:
+        """Tell whether messages have the size of the image."""
+        named: bool = connection.topic == self.tally.topics.camera_info
+        return named and connection.msgtype == CAMERA_INFO_TYPE
+
+    def _messages(self) -> Iterator[tuple[Connection, int, bytes]]:
+        """Read all messages."""
+        count = 0
+        try:
+            for message in self._reader.messages():
+                yield message
+                count += 1
+        # Whatever a library says of broken bytes.
+        except Exception as error:
+            raise DamagedBagError(f'after {count} messages: {error}') from error
+        if count != (expected := self._reader.message_count):
+            raise DamagedBagError(f'it has {count} messages, and says {expected}')
+
+    def _stretches(
+        self, messages: Iterable[tuple[Connection, int, bytes]]
+    ) -> Iterator[_Stretch]:
+        """Divide the messages into stretches of bounded size."""
+        stretch, size = _Stretch([], []), 0
+        for message in messages:
+            connection, _, data = message
+            stretch.messages.append(message)
+            size += len(data)
+            if self._is_input(connection):
+                stretch.inputs.append((data, self._camera_size))
+            elif self._is_camera_info(connection):
+                self._learn_size(connection, data)
+            if size > _STRETCH_BYTES:
+                yield stretch
+                stretch, size = _Stretch([], []), 0
+        yield stretch
+
+    def _learn_size(self, connection: Connection, data: bytes) -> None:
+        """Take the size of the image from a camera info."""
+        self._cameras += 1
+        try:
+            self._camera_size = read_image_size(data)
+        except WireError as error:
+            self.tally.counts['messages_unreadable'] += 1
+            self._report(f'message {self._cameras} on {connection.topic} cannot be read: {error}')
+
+    def _noted(self, answer: _Answer) -> dict[int, bytes]:
+        """Count what became of a message, and report it; of what may concern all, the first."""
+        counts, topic = self.tally.counts, self.tally.topics.detections
+        counts['messages_received'] += 1
+        counts.update(answer.counts)
+        for kind, text in answer.complaints.items():
+            if kind == UNREADABLE or kind not in self._complaints:
+                self._report(f'message {counts["messages_received"]} on {topic}: {text}')
+            self._complaints.add(kind)
+        return answer.messages
+
+
+def _converted(
+    stretches: Iterable[_Stretch],
+    convert: Callable[[list[tuple[bytes, tuple[int, int]]]], list[_Answer]],
+    many: bool,
+) -> Iterator[tuple[_Stretch, list[_Answer]]]:
+    """Convert stretches in their order, many of them in processes of their own."""
+    processors = os.cpu_count() or 1
+    if not many or processors == 1:
+        for stretch in stretches:
+            yield stretch, convert(stretch.inputs)
+        return
+    context = multiprocessing.get_context('spawn')
+    # Garbage collection would take a tenth of their time.
+    prepare = gc.disable
+    try:
+        with ProcessPoolExecutor(processors, context, prepare) as pool:
+            _start(pool, processors)
+            waiting: deque[tuple[_Stretch, Future[list[_Answer]]]] = deque()
+            for stretch in stretches:
+                waiting.append((stretch, pool.submit(convert, stretch.inputs)))
+                if len(waiting) > _STRETCHES_AHEAD:
+                    done, future = waiting.popleft()
+                    yield done, future.result()
+            for done, future in waiting:
+                yield done, future.result()
+    except BrokenExecutor as error:
+        raise ChildProcessError(f'a process that converts messages has ended: {error}') from None
+
+
+def _start(pool: ProcessPoolExecutor, processes: int) -> None:
+    """Start the processes without SIGINT, which a terminal sends to each of them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        for _ in range(processes):
+            pool.submit(int)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,360 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be read of a damaged bag, as an intact one."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sqlite3
+import struct
+import tempfile
+import zlib
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
+from contextlib import closing
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+from typing import BinaryIO
+from typing import NamedTuple
+from typing import TypeAlias
+
+import lz4.frame
+import yaml
+import zstandard
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Channel
+from mcap.records import Chunk
+from mcap.records import Message
+from mcap.records import Schema
+from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
+from rosbags.interfaces import Connection
+from rosbags.interfaces import ConnectionExtRosbag2
+from rosbags.interfaces import MessageDefinition
+from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer
+from rosbags.rosbag2.metadata import parse_qos
+
+from obbhbb_ros.bags.topics import VERSION
+from obbhbb_ros.bags.topics import add_topic
+
+_SUFFIXES = ('.mcap', '.db3')
+# Opcode, length, first and last time, size, checksum, length of the compression's name.
+_CHUNK_HEAD = struct.Struct('<BQQQQII')
+_MOST_OF_A_CHUNK = 2**26
+_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+
+Report: TypeAlias = Callable[[str], None]
+
+
+class _Topic(NamedTuple):
+    """What a storage file says of a topic."""
+
+    name: str
+    msgtype: str
+    encoding: str
+    definition: str
+    digest: str
+    qos: str
+
+
+def storage_files(source: Path) -> list[Path]:
+    """List the storage files of a bag in their order."""
+    found = source.iterdir() if source.is_dir() else [source]
+    files = [each for each in found if any(suffix in each.suffixes for suffix in _SUFFIXES)]
+    return sorted(
+        (each for each in files if each.suffix in (*_SUFFIXES, '.zstd')),
+        key=lambda path: [int(part) if part.isdigit() else part
+                          for part in re.split(r'(\d+)', path.name)],
+    )
+
+
+def rescue(source: Path, target: Path, report: Report) -> int:
+    """
+    Write what can be read of a bag as an intact one, without compression.
+
+    Neither metadata nor indexes are needed, nor the end of a file.
+
+    Parameters
+    ----------
+    source : Path
+        The bag, or one of its storage files.
+    target : Path
+        The bag to make.
+    report : callable
+        Takes what is lost, a line of text each.
+
+    Returns
+    -------
+    int
+        How many messages are lost, as far as that is known; else how many losses were reported.
+
+    Raises
+    ------
+    ValueError
+        If there are no storage files.
+    """
+    files = storage_files(source)
+    if not files:
+        raise ValueError(f'{source}: no .mcap and no .db3 file there')
+    losses: list[str] = []
+
+    def lose(text: str) -> None:
+        losses.append(text)
+        report(text)
+
+    read = 0
+    plugin = StoragePlugin.MCAP if '.mcap' in files[0].suffixes else StoragePlugin.SQLITE3
+    with (
+        tempfile.TemporaryDirectory(dir=target.parent.parent) as folder,
+        Writer(target, version=VERSION, storage_plugin=plugin) as writer,
+    ):
+        known: dict[tuple[str, str, str], Connection | None] = {}
+        for topic, moment, data in _messages(files, Path(folder), lose):
+            key = topic.name, topic.msgtype, topic.qos
+            if key not in known:
+                known[key] = _added(writer, topic, lose)
+            plain = _decompressed(data)
+            if plain is None:
+                lose(f'a message on {topic.name} at {moment} is damaged')
+            elif connection := known[key]:
+                writer.write(connection, moment, plain)
+                read += 1
+    missing = _promised(source) - read
+    if missing > 0:
+        lose(f'{missing} messages are missing')
+    return max(len(losses), missing)
+
+
+def _promised(source: Path) -> int:
+    """Read how many messages a bag says that it has, 0 if it does not say."""
+    try:
+        metadata = yaml.safe_load((source / 'metadata.yaml').read_text(encoding='utf-8'))
+        return int(metadata['rosbag2_bagfile_information']['message_count'])
+    except (OSError, yaml.YAMLError, LookupError, TypeError, ValueError):
+        return 0
+
+
+def _messages(
+    files: Iterable[Path], folder: Path, lose: Report
+) -> Iterator[tuple[_Topic, int, bytes]]:
+    """Read the messages of storage files."""
+    for path in files:
+        copy = _own_copy(path, folder, lose)
+        read = _mcap_messages if copy.suffix == '.mcap' else _sqlite_messages
+        yield from read(copy, lose)
+
+
+def _added(writer: Writer, topic: _Topic, lose: Report) -> Connection | None:
+    """Add a topic to a bag; None if its description is damaged."""
+    kinds = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
+    kind = kinds.get(topic.encoding, MessageDefinitionFormat.NONE)
+    try:
+        return add_topic(writer, Connection(
+            id=0, topic=topic.name, msgtype=topic.msgtype,
+            msgdef=MessageDefinition(kind, topic.definition), digest=topic.digest, msgcount=0,
+            ext=ConnectionExtRosbag2('cdr', parse_qos(topic.qos)), owner=None,
+        ))
+    # Whatever a library says of broken bytes.
+    except Exception as error:
+        lose(f'the topic {topic.name} is lost: {_text(error)}')
+        return None
+
+
+def _own_copy(path: Path, folder: Path, lose: Report) -> Path:
+    """Copy a storage file where it may change, without compression of the file as a whole."""
+    copy = folder / path.name.removesuffix('.zstd')
+    if path.suffix != '.zstd':
+        if path.suffix == '.mcap':
+            return path
+        # What SQLite had not yet moved into the file when the recorder ended.
+        for each in path.parent.glob(f'{path.name}*'):
+            shutil.copy(each, folder / each.name)
+        return copy
+    with path.open('rb') as stream, copy.open('wb') as out:
+        try:
+            zstandard.ZstdDecompressor().copy_stream(stream, out)
+        except zstandard.ZstdError as error:
+            lose(f'{path.name}: damaged at or before byte {stream.tell()}: {error}')
+    return copy
+
+
+def _decompressed(data: bytes) -> bytes | None:
+    """Decompress a message, if it is compressed; no message begins like that."""
+    if not data.startswith(_ZSTD_MAGIC):
+        return data
+    try:
+        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+    except zstandard.ZstdError:
+        return None
+
+
+def _mcap_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, bytes]]:
+    """Read the messages of an MCAP file as they lie there."""
+    with path.open('rb') as stream:
+        summary = summary_of(stream)
+        schemas, channels = summary.schemas, summary.channels
+        for record in _records(stream, path.name, lose):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Message):
+                channel = channels.get(record.channel_id)
+                schema = schemas.get(channel.schema_id) if channel else None
+                if channel is None or schema is None:
+                    lose(f'{path.name}: a message at {record.log_time} is of no known topic')
+                    continue
+                topic = _Topic(
+                    channel.topic, schema.name, schema.encoding,
+                    schema.data.decode(errors='replace'),
+                    channel.metadata.get('topic_type_hash', ''),
+                    channel.metadata.get('offered_qos_profiles', ''),
+                )
+                yield topic, record.log_time, record.data
+
+
+def summary_of(stream: BinaryIO) -> Summary:
+    """Read what the end of an MCAP file says of it, nothing if it cannot be read."""
+    try:
+        summary = make_reader(stream).get_summary()
+    # Whatever broken bytes lead to.
+    except Exception:
+        summary = None
+    stream.seek(0)
+    return summary or Summary()
+
+
+def _records(stream: BinaryIO, name: str, lose: Report) -> Iterator[Any]:
+    """Read the records of an MCAP file, those in chunks too, up to where it is possible."""
+    records = iter(StreamReader(stream, emit_chunks=True).records)
+    while True:
+        start = stream.tell()
+        try:
+            record = next(records, None)
+        # Whatever broken bytes lead to.
+        except Exception as error:
+            lose(f'{name}: nothing, or not all, can be read from byte {start} on: {_text(error)}')
+            stream.seek(start)
+            yield from _beginning_of_chunk(stream.read(_MOST_OF_A_CHUNK))
+            return
+        if record is None:
+            return
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        content = _unpacked(record.compression, record.data)
+        crc = record.uncompressed_crc
+        if len(content) != record.uncompressed_size or (crc and zlib.crc32(content) != crc):
+            lose(f'{name}: the chunk of messages from byte {start} on is damaged')
+        yield from _inner_records(content)
+
+
+def _beginning_of_chunk(data: bytes) -> Iterator[Any]:
+    """Read the records of a chunk whose end is missing."""
+    if len(data) < _CHUNK_HEAD.size or data[0] != Opcode.CHUNK:
+        return
+    *_, length = _CHUNK_HEAD.unpack_from(data)
+    start = _CHUNK_HEAD.size + length
+    compression = data[_CHUNK_HEAD.size : start].decode(errors='replace')
+    # Behind the size of the rest.
+    yield from _inner_records(_unpacked(compression, data[start + 8 :]))
+
+
+def _inner_records(content: bytes) -> Iterator[Any]:
+    """Read records up to the first that is damaged or incomplete."""
+    try:
+        yield from StreamReader(BytesIO(content), skip_magic=True).records
+    # The end is one, too.
+    except Exception:
+        return
+
+
+def _unpacked(compression: str, data: bytes) -> bytes:
+    """Decompress a chunk, up to where it is damaged."""
+    if not compression:
+        return data
+    unpacked = bytearray()
+    try:
+        if compression == 'lz4':
+            unpacked += lz4.frame.LZ4FrameDecompressor().decompress(data)
+        else:
+            stream = zstandard.ZstdDecompressor().stream_reader(data)
+            while block := stream.read(2**16):
+                unpacked += block
+    except (RuntimeError, zstandard.ZstdError):
+        pass
+    return bytes(unpacked)
+
+
+def _text(error: Exception) -> str:
+    """Say what went wrong, also where an error says nothing."""
+    if isinstance(error, EndOfFile):
+        return 'the file ends there'
+    return str(error) or type(error).__name__
+
+
+def _sqlite_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, bytes]]:
+    """Read the messages of an SQLite3 file in the order in which they were recorded."""
+    with closing(sqlite3.connect(path)) as base:
+        try:
+            # Also opens a file that is shorter than it says.
+            base.execute('PRAGMA writable_schema = ON')
+            topics = _sqlite_topics(base)
+        except sqlite3.Error as error:
+            lose(f'{path.name}: nothing can be read: {error}')
+            return
+        for number in _numbers(base, path.name, lose):
+            try:
+                identity, moment, data = base.execute(
+                    'SELECT topic_id, timestamp, data FROM messages WHERE id = ?', (number,)
+                ).fetchone()
+                topic = topics[identity]
+            except (sqlite3.Error, TypeError, KeyError) as error:
+                lose(f'{path.name}: message {number} is lost: {error}')
+            else:
+                yield topic, moment, data
+
+
+def _sqlite_topics(base: sqlite3.Connection) -> dict[int, _Topic]:
+    """Read the topics; older versions say less of them."""
+    definitions = {}
+    for row in _rows(base, 'message_definitions'):
+        definitions[row['topic_type']] = row['encoding'], row['encoded_message_definition']
+    found = {}
+    for row in _rows(base, 'topics'):
+        encoding, definition = definitions.get(row['type'], ('', ''))
+        found[row['id']] = _Topic(
+            row['name'], row['type'], encoding, definition,
+            row.get('type_description_hash', ''), row.get('offered_qos_profiles', ''),
+        )
+    return found
+
+
+def _rows(base: sqlite3.Connection, table: str) -> list[dict[str, Any]]:
+    """Read a table, if it is there."""
+    if not base.execute('SELECT 1 FROM sqlite_master WHERE name = ?', (table,)).fetchone():
+        return []
+    cursor = base.execute(f'SELECT * FROM {table}')
+    names = [each[0] for each in cursor.description]
+    return [dict(zip(names, row, strict=True)) for row in cursor]
+
+
+def _numbers(base: sqlite3.Connection, name: str, lose: Report) -> list[int]:
+    """List the messages that are there, from both ends up to where the file is damaged."""
+    found: dict[int, None] = {}
+    for order in ('ASC', 'DESC'):
+        try:
+            for (number,) in base.execute(f'SELECT id FROM messages ORDER BY id {order}'):
+                found[number] = None
+        except sqlite3.Error as error:
+            if order == 'ASC':
+                lose(f'{name}: messages behind number {max(found, default=0)} are lost: {error}')
+        else:
+            break
+    return sorted(found)

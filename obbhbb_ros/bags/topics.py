@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The topics of a bag: which of them is converted, and what a bag says of each."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from collections.abc import Iterable
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Connection
+from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.interfaces import Qos
+from rosbags.interfaces import QosDurability
+from rosbags.interfaces import QosHistory
+from rosbags.interfaces import QosLiveliness
+from rosbags.interfaces import QosReliability
+from rosbags.interfaces import QosTime
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores
+from rosbags.typesys import get_types_from_idl
+from rosbags.typesys import get_types_from_msg
+from rosbags.typesys import get_typestore
+
+import obbhbb_ros
+from obbhbb_ros.wire.layouts import INPUT_TYPES
+from obbhbb_ros.wire.layouts import InputType
+
+OUTPUT_TYPE = 'vision_msgs/msg/Detection2DArray'
+OUTPUT_HASH = 'RIHS01_214274120007f4a683866481336b70310268cfa107aebe9d594a6acf75bda968'
+OUTPUTS = ('boxes', 'crop_regions')
+CAMERA_INFO_TYPE = 'sensor_msgs/msg/CameraInfo'
+# The version of bags that Jazzy writes.
+VERSION = 9
+# As ROS writes the hash of a type that nothing is known of.
+NO_HASH = 'RIHS00_' + 64 * '0'
+
+_INPUT_TYPES = {f'{each.package}/msg/{each.name}': each for each in INPUT_TYPES.values()}
+_FOREVER = QosTime(9223372036, 854775807)
+# As rosbag2 writes what the node offers.
+_QOS = Qos(
+    QosHistory.UNKNOWN, 0, QosReliability.RELIABLE, QosDurability.VOLATILE, _FOREVER, _FOREVER,
+    QosLiveliness.AUTOMATIC, _FOREVER, False,
+)
+
+
+@dataclass(frozen=True)
+class Topics:
+    """
+    What is read of a bag, and where the answers go.
+
+    Attributes
+    ----------
+    detections : str
+        Topic of the input.
+    input_type : InputType
+        Type of its messages.
+    camera_info : str
+        Topic that the size of the image is taken from.
+    outputs : tuple of str
+        Topics of the boxes and of the crop regions.
+    """
+
+    detections: str
+    input_type: InputType
+    camera_info: str
+    outputs: tuple[str, ...]
+
+
+def choose(
+    connections: Collection[Connection], topic: str = '', camera_info: str = ''
+) -> Topics:
+    """
+    Find the topic of oriented detections.
+
+    Parameters
+    ----------
+    connections : collection of Connection
+        What the bag holds.
+    topic : str
+        The topic, if it is given; else there must be only one that can be converted.
+    camera_info : str
+        The topic of `sensor_msgs/CameraInfo`; `camera_info` beside the input by default.
+
+    Returns
+    -------
+    Topics
+        The topics of a node that runs in the namespace of the input.
+
+    Raises
+    ------
+    ValueError
+        If there is no such topic, or more than one; the message lists what there is.
+    """
+    possible = {
+        each.topic: _INPUT_TYPES[each.msgtype] for each in connections
+        if each.msgtype in _INPUT_TYPES
+    }
+    if topic:
+        topic = _absolute(topic)
+        candidates = [topic] if topic in possible else []
+    else:
+        candidates = [name for name in possible if name.rpartition('/')[2] not in OUTPUTS]
+    if len(candidates) != 1:
+        raise ValueError(_choice(connections, topic, candidates))
+    detections = candidates[0]
+    namespace = detections.rpartition('/')[0]
+    outputs = tuple(f'{namespace}/{name}' for name in OUTPUTS)
+    if detections in outputs:
+        raise ValueError(f'{detections} cannot be converted: the boxes would have the same name')
+    _check_camera_info(connections, camera_info)
+    return Topics(
+        detections, possible[detections],
+        _absolute(camera_info) if camera_info else f'{namespace}/camera_info', outputs,
+    )
+
+
+def _absolute(topic: str) -> str:
+    """Write the name of a topic in full."""
+    return '/' + topic.lstrip('/')
+
+
+def _choice(
+    connections: Collection[Connection], topic: str, candidates: Sequence[str]
+) -> str:
+    """Say why the input is not clear."""
+    if candidates:
+        return f'more than one topic can be converted, choose one by --topic: {_listed(candidates)}'
+    found = [f'{each.topic} ({each.msgtype})' for each in connections]
+    subject = f'{topic} is no topic' if topic else 'no topic'
+    return f'{subject} that can be converted; the bag has {_listed(found) or "no topics"}'
+
+
+def _listed(names: Collection[str]) -> str:
+    """List names in order."""
+    return ', '.join(sorted(names))
+
+
+def _check_camera_info(connections: Collection[Connection], topic: str) -> None:
+    """Check that a topic that was asked for is there."""
+    infos = [each.topic for each in connections if each.msgtype == CAMERA_INFO_TYPE]
+    if topic and _absolute(topic) not in infos:
+        raise ValueError(
+            f'{_absolute(topic)} is no topic of {CAMERA_INFO_TYPE}; the bag has '
+            f'{_listed(infos) or "none"}'
+        )
+
+
+def add_topic(writer: Writer, connection: Connection) -> Connection:
+    """Add a topic as it was in another bag."""
+    definition, digest = _definition(connection)
+    return writer.add_connection(
+        connection.topic,
+        connection.msgtype,
+        msgdef=definition,
+        rihs01=digest,
+        serialization_format=connection.ext.serialization_format,
+        offered_qos_profiles=connection.ext.offered_qos_profiles,
+    )
+
+
+def add_topics(writer: Writer, connections: Iterable[Connection]) -> dict[int, Connection]:
+    """Add topics as they were in another bag, by their number there; equal ones become one."""
+    added: dict[int, Connection] = {}
+    for each in connections:
+        what = each.topic, each.msgtype, each.ext
+        same = (done for done in writer.connections if (done.topic, done.msgtype, done.ext) == what)
+        added[each.id] = next(same, None) or add_topic(writer, each)
+    return added
+
+
+def add_output(writer: Writer, topic: str, connections: Collection[Connection]) -> Connection:
+    """Add a topic of boxes; a definition of their type that the bag has already is kept."""
+    known = [each for each in connections if each.msgtype == OUTPUT_TYPE and each.msgdef.data]
+    if known:
+        definition, digest = _definition(known[0])
+    else:
+        folder = Path(obbhbb_ros.__file__).parent / 'data'
+        definition = (folder / 'Detection2DArray.msg').read_text(encoding='utf-8')
+        digest = OUTPUT_HASH
+    return writer.add_connection(
+        topic, OUTPUT_TYPE, msgdef=definition, rihs01=digest, offered_qos_profiles=[_QOS]
+    )
+
+
+def _definition(connection: Connection) -> tuple[str, str]:
+    """Return text and hash of a message type, as far as anything says them."""
+    text: str = connection.msgdef.data
+    if text and connection.digest:
+        return text, connection.digest
+    msgtype = connection.msgtype
+    try:
+        store = get_typestore(Stores.EMPTY if text else Stores.ROS2_JAZZY)
+        if text:
+            store.register(_parsed(connection))
+        else:
+            # Bags of Humble and before have no definitions.
+            text, _ = store.generate_msgdef(msgtype, ros_version=2)
+        return text, connection.digest or store.hash_rihs01(msgtype)
+    # Whatever a bag calls a definition; its messages are copied all the same.
+    except Exception:
+        return text, connection.digest or NO_HASH
+
+
+def _parsed(connection: Connection) -> Any:
+    """Parse the definition of a message type."""
+    text = connection.msgdef.data
+    if connection.msgdef.format == MessageDefinitionFormat.IDL:
+        return get_types_from_idl(text)
+    return get_types_from_msg(text, connection.msgtype)
