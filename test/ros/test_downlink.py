@@ -394,11 +394,12 @@ def test_every_key_of_the_downlink_node_is_explained(chain: Chain) -> None:
     assert not unexplained(chain.books(), 'chip_extractor.md')
 
 
+@pytest.mark.once
 def test_the_books_balance_after_every_kill_and_the_bus_has_what_they_say() -> None:
     command = Path(__file__).parents[1] / 'soak' / 'kills.py'
     done = subprocess.run(
-        [sys.executable, command, '--count', '15', '--seed', '1'],
+        [sys.executable, command, '--count', '30', '--seed', '1'],
         check=False, capture_output=True, text=True, timeout=300,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r'1[56] kills, .*none wrong', done.stdout)
+    assert re.search(r'3[01] kills, .*none wrong', done.stdout)
