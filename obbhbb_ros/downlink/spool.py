@@ -598,8 +598,10 @@ def _evict(rows: sqlite3.Cursor, max_bytes: float) -> None:
             break
     _book(rows, 'evicted.max_bytes', evicted)
     # Free pages are used again; only those far beyond a limit that was lowered go to the disk.
-    if _pragma(rows, 'page_count') > _SLACK * most:
-        rows.execute(f'PRAGMA incremental_vacuum({_PAGES_GIVEN_BACK})').fetchall()
+    excess = _pragma(rows, 'page_count') - int(_SLACK * most)
+    for _ in range(min(excess, _pragma(rows, 'freelist_count'), _PAGES_GIVEN_BACK)):
+        # One after the other: Python takes one step of a statement without rows.
+        rows.execute('PRAGMA incremental_vacuum(1)')
 
 
 def _pragma(rows: sqlite3.Cursor, name: str) -> int:
