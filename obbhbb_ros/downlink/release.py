@@ -131,12 +131,13 @@ class Releaser:
             return _RETRY
 
     def _resume(self) -> None:
-        """Find out what became of the chips that were claimed when the last process ended."""
+        """Find out what became of the chips whose release was interrupted."""
         self._own_outbox()
         contents = self._outbox.contents()
         claimed = set(self._spool.ids(CLAIMED))
-        self._put_out = list(claimed & contents.complete)
-        self._put_back = list(claimed - contents.complete)
+        # The bus may have taken some of those that were put out before the interruption.
+        out = claimed & contents.complete.union(self._put_out)
+        self._put_out, self._put_back = list(out), list(claimed - out)
         self._outbox.remove_unfinished(self._put_back)
         self._is_resumed = True
 
@@ -158,7 +159,7 @@ class Releaser:
             known = self._spool.outbox()
             if known and known != self._outbox.token():
                 # Into whatever has taken its place; they are looked up when it is back.
-                self._is_resumed = False
+                self._put_out, self._is_resumed = [], False
                 raise SpoolError(f'{self._outbox.folder} was replaced; is it mounted?')
         self._spool.released(self._put_out, delivered=not self.settings.removal)
         self._put_out = []
@@ -189,19 +190,20 @@ class Releaser:
             return IDLE
         budget = self._room_for_link()
         room = self._room_in_outbox()
+        # Whatever interrupts this, the next step looks into the outbox.
+        self._is_resumed = False
         claimed, missing = self._spool.claim(
             _BATCH, min(self.available, room), self._bucket.burst, budget.overhead
         )
+        self._put_back = [chip.id for chip, _ in claimed]
+        for chip, data in claimed:
+            if not self._put(chip, data):
+                break
+        self._is_resumed = True
         if not claimed:
             return self._stall(missing, room)
         self.stalled_by = ''
-        self._put_back = [chip.id for chip, _ in claimed]
-        try:
-            for chip, data in claimed:
-                if not self._put(chip, data):
-                    break
-        finally:
-            self._record()
+        self._record()
         return 0.0
 
     def _put(self, chip: StoredChip, data: bytes) -> bool:
@@ -218,8 +220,9 @@ class Releaser:
             return False
         suffix = CODECS[description['codec']].suffix
         level = level_of(chip.value, self.settings.levels)
-        self._outbox.put(chip.id, suffix, data, description, level)
+        # First: what fails later may be in the outbox all the same.
         self._bucket.spend(cost, self._clock())
+        self._outbox.put(chip.id, suffix, data, description, level)
         self._contents.bytes += cost
         self._put_back.remove(chip.id)
         self._put_out.append(chip.id)
