@@ -28,6 +28,9 @@ FACTS = {
 }
 
 
+RELEASE = ReleaseSettings()
+
+
 def new_chip(
     value: float = 0.5, size: int = 300, stamp: tuple[int, int] = (5, 0), class_id: str = 'ship',
     **facts: Any,
@@ -57,7 +60,7 @@ class Clock:
 
 def releaser(
     folder: Path, on_trouble: Callable[[str], object], clock: Clock | None = None,
-    settings: ReleaseSettings = ReleaseSettings(), contact: bool = True,
+    settings: ReleaseSettings = RELEASE, contact: bool = True,
 ) -> Releaser:
     """Make a releaser from `spool` to `outbox` in a folder."""
     made = Releaser(

@@ -629,6 +629,8 @@ def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
     try:
         for order in ('ASC', 'DESC'):
             with suppress(sqlite3.DatabaseError):
+                # With it, SQLite reads a file that has lost its end.
+                database.execute('PRAGMA writable_schema = ON')
                 for data, *fields in database.execute(
                     f'SELECT data, {_COLUMNS} FROM chips ORDER BY seq {order}'
                 ):

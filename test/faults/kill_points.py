@@ -67,6 +67,7 @@ def main() -> None:
         for points in count(step=1 if options.all else 5):
             with tempfile.TemporaryDirectory() as folder:
                 played = Path(folder) / 'played'
+                played.mkdir()
                 if not is_killed(library, played, removal, points):
                     break
                 copy = shutil.copytree(played, Path(folder) / 'copy') if options.all else played

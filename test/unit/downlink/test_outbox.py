@@ -37,13 +37,18 @@ def test_a_chip_lies_beside_its_json_in_the_folder_of_its_level(tmp_path, level,
 
 def test_the_json_gets_its_name_last_when_both_are_on_disk(tmp_path, monkeypatch) -> None:
     done = []
-    for name, module_of in (('fsync', os), ('replace', os)):
-        def noted(*args, real=getattr(module_of, name), name=name):
-            target = os.readlink(f'/proc/self/fd/{args[0]}') if name == 'fsync' else args[1]
-            done.append((name, Path(target).suffix))
-            return real(*args)
+    fsync, replace = os.fsync, os.replace
 
-        monkeypatch.setattr(module_of, name, noted)
+    def noted_fsync(descriptor):
+        done.append(('fsync', Path(os.readlink(f'/proc/self/fd/{descriptor}')).suffix))
+        fsync(descriptor)
+
+    def noted_replace(source, target):
+        done.append(('replace', Path(target).suffix))
+        replace(source, target)
+
+    monkeypatch.setattr(os, 'fsync', noted_fsync)
+    monkeypatch.setattr(os, 'replace', noted_replace)
     put(Outbox(tmp_path))
     # Of the file, its name, of the folder; '' is the folder.
     assert done == [

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cdr import DETECTIONS
 from cdr import MESSAGES
 from cdr import STAMP
 from cdr import TEXT
