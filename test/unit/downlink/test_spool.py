@@ -103,6 +103,7 @@ def test_nothing_is_counted_twice(spool) -> None:
     for _ in range(2):
         spool.released(ids, delivered=False)
         spool.unclaim(ids)
+        assert (counts(spool).waiting, counts(spool).in_outbox) == (0, 1)
     for _ in range(2):
         spool.delivered(ids)
     status = counts(spool)
