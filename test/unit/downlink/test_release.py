@@ -444,12 +444,12 @@ def test_an_outbox_that_cannot_be_written_is_tried_again(ground, monkeypatch) ->
         real(self, chip_id, *args)
 
     monkeypatch.setattr(Outbox, 'put', put)
-    for _ in range(2):
+    # What the bus takes at once is not released again, though it was not written down.
+    for left in ([0.9], []):
         assert ground.releaser.step() == 1.0
         assert 'No space left' in ground.releaser.stalled_by
-        assert ground.out() == [0.9]
-    # It is not released again, though that is not written down.
-    ground.remove([0.9])
+        assert ground.out() == left
+        ground.remove([0.9])
     assert ground.troubles == [ground.releaser.stalled_by] * 2
     failing.clear()
     ground.steps()
