@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import json
@@ -19,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from faults.library import build
 from harness import ChipNode
 from harness import Converter
 from harness import Counts
@@ -329,6 +331,29 @@ def test_a_spool_that_is_deleted_is_said_and_begins_anew(chain: Chain) -> None:
     chain.chips.wait_for_log('was deleted or replaced, a new catalogue begins')
     node.wait(lambda: node.counts()['spool.delivered'] == 2, 'both are released')
     assert chain.books()['spool.planned'] == 2
+
+
+@pytest.mark.parametrize('error', [errno.ENOSPC, errno.EROFS], ids=errno.errorcode.get)
+def test_a_disk_that_fails_is_said_and_survived_and_chips_go_on_by_topic(
+    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int
+) -> None:
+    flag = tmp_path / 'failing'
+    monkeypatch.setenv('LD_PRELOAD', str(build(tmp_path)))
+    monkeypatch.setenv('FAULT_FOLDER', str(tmp_path / 'spool'))
+    monkeypatch.setenv('FAULT_FLAG', str(flag))
+    with Chain(site, tmp_path) as chain:
+        flag.write_text(str(error))
+        chain.chips.forget()
+        chain.store([0.5] * 5)
+        chain.chips.wait(lambda: len(chain.chips.chips) == 5, 'the chips on their topic')
+        chain.chips.wait_for_log('spool: ')
+        chain.chips.wait(lambda: chain.chips.warned('spool: '), 'the level')
+        flag.unlink()
+        chain.store([0.6] * 3)
+        chain.chips.wait(lambda: chain.books()['spool.waiting'] == 4, 'chips in the spool again')
+        assert chain.books()['spool.refused.spool_failed'] == 5
+        node = chain.downlink()
+        node.wait(lambda: node.counts()['spool.delivered'] == 4, 'a release')
 
 
 def test_a_damaged_catalogue_is_set_aside_and_chips_go_on(chain: Chain) -> None:
