@@ -184,8 +184,8 @@ class Catalogue:
         database.text_factory = lossy_text
         try:
             rows = database.cursor()
-            # Chips of a few kB fill such pages well.
-            rows.execute('PRAGMA page_size = 8192')
+            # Small ones: a page is used again only when all of it is free.
+            rows.execute('PRAGMA page_size = 2048')
             rows.execute('PRAGMA auto_vacuum = INCREMENTAL')
             rows.execute('PRAGMA journal_mode = WAL')
             # On disk, not only handed to the system, when a transaction ends.

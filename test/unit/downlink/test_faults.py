@@ -21,6 +21,7 @@ def library(tmp_path_factory):
     return build(tmp_path_factory.mktemp('faults'))
 
 
+@pytest.mark.once
 @pytest.mark.parametrize('script', ['kill_points', 'disk_errors'])
 def test_nothing_is_lost_and_nothing_comes_twice(script, library, tmp_path) -> None:
     """A fault at every few calls; the scripts take all of them with --all."""
