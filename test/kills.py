@@ -123,13 +123,21 @@ class Chain(ExitStack):
         """Keep the load up for some time."""
         self.peer.repeat(seconds, (PERIOD, self.send))
 
-    def run_until(self, condition: Callable[[Status], Any], timeout: float = 30.0) -> Status:
+    def run_until(self, condition: Callable[[Status], Any], timeout: float = 90.0) -> Status:
         """Keep the load up until something holds of the books."""
         deadline = time.monotonic() + timeout
         while not condition(status := self.books.status()):
-            assert time.monotonic() < deadline, status
+            assert time.monotonic() < deadline, self._state(status)
             self.run(0.2)
         return status
+
+    def _state(self, status: Status) -> str:
+        """Tell what is known when it does not go on."""
+        logs = [
+            f'{name}, pid {node.pid}, {"running" if node.running else "ended"}: {node.log[-2000:]}'
+            for name, node in self.nodes.items()
+        ]
+        return '\n'.join((str(status), *logs))
 
     def kill(self, *names: str) -> Status:
         """Kill nodes, start them again, and give the books from between."""
@@ -151,7 +159,7 @@ class Chain(ExitStack):
     def _wait(self, condition: Callable[[Status], Any]) -> Status:
         deadline = time.monotonic() + 120.0
         while not condition(status := self.books.status()):
-            assert time.monotonic() < deadline, status
+            assert time.monotonic() < deadline, self._state(status)
             self.peer.spin_to(time.monotonic() + 0.1)
         return status
 

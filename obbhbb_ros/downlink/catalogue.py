@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import secrets
 import sqlite3
 import time
@@ -25,7 +26,7 @@ from obbhbb_ros.files import sync_folder
 
 T = TypeVar('T')
 
-FILES = 'chips_*.sqlite3'
+_NAME = re.compile(r'chips_([0-9]+)_[0-9a-f]{6}\.sqlite3')
 # Stands beside a database that is not used any more.
 DAMAGED = '.damaged'
 _BUSY_TIMEOUT = 5.0
@@ -179,10 +180,12 @@ class Catalogue:
         database = sqlite3.connect(
             path, timeout=_BUSY_TIMEOUT, isolation_level=None, check_same_thread=False
         )
+        # Damaged text is found out where it is used.
+        database.text_factory = lossy_text
         try:
             rows = database.cursor()
-            # Chips of a few kB fill such pages well.
-            rows.execute('PRAGMA page_size = 8192')
+            # Small ones: a page is used again only when all of it is free.
+            rows.execute('PRAGMA page_size = 2048')
             rows.execute('PRAGMA auto_vacuum = INCREMENTAL')
             rows.execute('PRAGMA journal_mode = WAL')
             # On disk, not only handed to the system, when a transaction ends.
@@ -203,11 +206,11 @@ class Catalogue:
 
     def _in_use(self) -> Path | None:
         """Find the database in use."""
-        return max((each for each in files(self._folder) if not _marked(each)), default=None)
+        return next((each for each in reversed(files(self._folder)) if not _marked(each)), None)
 
     def _new_path(self) -> Path:
         """Make a name that no database had."""
-        number = max((int(each.stem.split('_')[1]) for each in files(self._folder)), default=0)
+        number = max(map(_number, files(self._folder)), default=0)
         return self._folder / f'chips_{number + 1:04d}_{secrets.token_hex(3)}.sqlite3'
 
     def _mark(self, path: Path, error: Exception) -> None:
@@ -218,8 +221,19 @@ class Catalogue:
 
 
 def files(folder: Path) -> list[Path]:
-    """List the databases of a folder, damaged ones as well."""
-    return sorted(folder.glob(FILES))
+    """List the databases of a folder, the oldest first, damaged ones as well."""
+    found = (each for each in folder.glob('chips_*') if _NAME.fullmatch(each.name))
+    return sorted((each for each in found if each.is_file()), key=_number)
+
+
+def lossy_text(content: bytes) -> str:
+    """Read a text, even if it is damaged."""
+    return content.decode(errors='replace')
+
+
+def _number(path: Path) -> int:
+    """Return which database of its folder it is."""
+    return int(path.name.split('_')[1])
 
 
 def _is_damage(error: sqlite3.DatabaseError) -> bool:

@@ -25,7 +25,7 @@ from obbhbb_ros.downlink.spool import CLAIMED
 from obbhbb_ros.downlink.spool import RELEASED
 from obbhbb_ros.downlink.spool import Spool
 from obbhbb_ros.downlink.spool import StoredChip
-from obbhbb_ros.downlink.spool import is_intact
+from obbhbb_ros.downlink.spool import describe_intact
 
 # Chips that are claimed at once.
 _BATCH = 16
@@ -104,9 +104,9 @@ class Releaser:
         self._budget = settings.budget
         self._bucket = TokenBucket(settings.budget, clock())
         self._is_resumed = False
-        # Sequence numbers of claimed chips: in the outbox, and not to be released now.
-        self._put_out: list[int] = []
-        self._put_back: list[int] = []
+        # Ids of claimed chips: in the outbox, and not to be released now.
+        self._put_out: list[str] = []
+        self._put_back: list[str] = []
         self._contents = Contents()
         self._look_at = 0.0
 
@@ -131,14 +131,14 @@ class Releaser:
             return _RETRY
 
     def _resume(self) -> None:
-        """Find out what became of the chips that were claimed when the last process ended."""
+        """Find out what became of the chips whose release was interrupted."""
         self._own_outbox()
         contents = self._outbox.contents()
-        claimed = self._spool.ids(CLAIMED)
-        self._put_out = [seq for seq, chip_id in claimed if chip_id in contents.complete]
-        lost = {chip_id: seq for seq, chip_id in claimed if chip_id not in contents.complete}
-        self._outbox.remove_unfinished(lost.keys())
-        self._put_back = list(lost.values())
+        claimed = set(self._spool.ids(CLAIMED))
+        # The bus may have taken some of those that were put out before the interruption.
+        out = claimed & contents.complete.union(self._put_out)
+        self._put_out, self._put_back = list(out), list(claimed - out)
+        self._outbox.remove_unfinished(self._put_back)
         self._is_resumed = True
 
     def _own_outbox(self) -> None:
@@ -155,6 +155,12 @@ class Releaser:
 
     def _record(self) -> None:
         """Write down what became of claimed chips."""
+        if self._put_out and self.settings.removal:
+            known = self._spool.outbox()
+            if known and known != self._outbox.token():
+                # Into whatever has taken its place; they are looked up when it is back.
+                self._put_out, self._is_resumed = [], False
+                raise SpoolError(f'{self._outbox.folder} was replaced; is it mounted?')
         self._spool.released(self._put_out, delivered=not self.settings.removal)
         self._put_out = []
         self._spool.unclaim(self._put_back)
@@ -163,12 +169,17 @@ class Releaser:
     def _look(self) -> None:
         """Look into the outbox now and then: for chips that the bus has removed, and for room."""
         settings, now = self.settings, self._clock()
-        if now < self._look_at or not (settings.removal or settings.max_bytes):
+        if now < self._look_at:
+            return
+        # Those whose removal is waited for, and go on being so when that is changed.
+        released = self._spool.ids(RELEASED)
+        if not (settings.removal or settings.max_bytes or released):
             return
         self._own_outbox()
-        released = self._spool.ids(RELEASED)
         self._contents = self._outbox.contents()
-        self._spool.delivered([i for _, i in released if i not in self._contents])
+        # It may have been unmounted while it was read.
+        self._own_outbox()
+        self._spool.delivered([each for each in released if each not in self._contents])
         done = self._clock()
         self._look_at = done + max(_LOOK, (done - now) / _LOOK_SHARE)
 
@@ -178,49 +189,51 @@ class Releaser:
             self.stalled_by = 'no contact'
             return IDLE
         budget = self._room_for_link()
+        room = self._room_in_outbox()
+        # Whatever interrupts this, the next step looks into the outbox.
+        self._is_resumed = False
         claimed, missing = self._spool.claim(
-            _BATCH, min(self.available, self._room_in_outbox()), self._bucket.burst,
-            budget.overhead,
+            _BATCH, min(self.available, room), self._bucket.burst, budget.overhead
         )
+        self._put_back = [chip.id for chip, _ in claimed]
+        for chip, data in claimed:
+            if not self._put(chip, data):
+                break
+        self._is_resumed = True
         if not claimed:
-            return self._stall(missing)
+            return self._stall(missing, room)
         self.stalled_by = ''
-        self._put_back = [chip.seq for chip, _ in claimed]
-        try:
-            for chip, data in claimed:
-                if not self._put(chip, data):
-                    break
-        finally:
-            self._record()
+        self._record()
         return 0.0
 
     def _put(self, chip: StoredChip, data: bytes) -> bool:
         """Put a claimed chip into the outbox; False if that is not allowed any more."""
         budget = self._room_for_link()
-        description = chip.describe()
+        description = describe_intact(chip, data)
+        if description is None:
+            self._spool.set_aside(chip.id)
+            self._put_back.remove(chip.id)
+            self._on_trouble(f'{chip.id} is damaged in the spool and was set aside')
+            return True
         cost = len(data) + len(json_bytes(description)) + budget.overhead
         if not self.contact or cost > min(self.available, self._room_in_outbox()):
             return False
-        if not is_intact(description, data):
-            self._put_back.remove(chip.seq)
-            self._spool.set_aside(chip.seq)
-            self._on_trouble(f'{chip.id} is damaged in the spool and was set aside')
-            return True
         suffix = CODECS[description['codec']].suffix
         level = level_of(chip.value, self.settings.levels)
-        self._outbox.put(chip.id, suffix, data, description, level)
+        # First: what fails later may be in the outbox all the same.
         self._bucket.spend(cost, self._clock())
+        self._outbox.put(chip.id, suffix, data, description, level)
         self._contents.bytes += cost
-        self._put_back.remove(chip.seq)
-        self._put_out.append(chip.seq)
+        self._put_back.remove(chip.id)
+        self._put_out.append(chip.id)
         return True
 
-    def _stall(self, missing: int) -> float:
+    def _stall(self, missing: int, room: float) -> float:
         """Say why nothing is released; return how long to wait."""
         if not missing:
             self.stalled_by = 'nothing waits'
             return IDLE
-        if missing > self._room_in_outbox():
+        if missing > room:
             text = f'outbox is full, outbox.max_bytes is {self.settings.max_bytes:.0f}'
             if self.stalled_by != text:
                 self._on_trouble(text)

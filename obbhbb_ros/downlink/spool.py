@@ -19,6 +19,7 @@ import itertools
 import json
 import math
 import sqlite3
+import sys
 from collections import Counter
 from collections.abc import Callable
 from collections.abc import Iterator
@@ -34,6 +35,8 @@ from typing import TypeVar
 
 from obbhbb_ros.downlink.catalogue import Catalogue
 from obbhbb_ros.downlink.catalogue import SpoolError
+from obbhbb_ros.downlink.catalogue import lossy_text
+from obbhbb_ros.downlink.chips import CODECS
 
 T = TypeVar('T')
 
@@ -48,7 +51,7 @@ _PAGES_GIVEN_BACK = 1000
 WAITING, CLAIMED, RELEASED = 0, 1, 2
 """States of a chip in the catalogue: in the spool, on its way to the outbox, in the outbox."""
 
-# Tables, and triggers that count chips and bytes by state.
+# Tables, and triggers that count the chips that move or leave.
 _SCHEMA = """
 CREATE TABLE chips (
     seq INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -68,9 +71,6 @@ CREATE TABLE notes (name TEXT PRIMARY KEY, text TEXT NOT NULL);
 CREATE TABLE books (name TEXT PRIMARY KEY, count INTEGER NOT NULL);
 CREATE TABLE totals (state INTEGER PRIMARY KEY, chips INTEGER NOT NULL, bytes INTEGER NOT NULL);
 INSERT INTO totals VALUES (0, 0, 0), (1, 0, 0), (2, 0, 0);
-CREATE TRIGGER chip_in AFTER INSERT ON chips BEGIN
-    UPDATE totals SET chips = chips + 1, bytes = bytes + NEW.bytes WHERE state = NEW.state;
-END;
 CREATE TRIGGER chip_moved AFTER UPDATE OF state ON chips BEGIN
     UPDATE totals SET chips = chips - 1, bytes = bytes - OLD.bytes WHERE state = OLD.state;
     UPDATE totals SET chips = chips + 1, bytes = bytes + NEW.bytes WHERE state = NEW.state;
@@ -271,6 +271,10 @@ class Spool:
             return True
         failed = Counter(refused)
         failed['spool_failed'] += len(chips)
+        if self._arrears and not frame.catalogue and not self._arrears[-1][0].catalogue:
+            # However long it lasts, it takes no more memory.
+            last, reasons = self._arrears.pop()
+            frame, failed = Frame('', 0, last.chips + frame.chips), failed + reasons
         self._arrears.append((frame, failed))
         return False
 
@@ -313,46 +317,52 @@ class Spool:
                     'SELECT data FROM chips WHERE seq = ?', (chip.seq,)
                 ).fetchone()
                 claimed.append((chip, data))
-            _set_state(rows, [chip.seq for chip, _ in claimed], CLAIMED)
+            rows.executemany(
+                'UPDATE chips SET state = ? WHERE seq = ?',
+                [(CLAIMED, chip.seq) for chip, _ in claimed],
+            )
             return claimed, missing
 
         return self._write(work)
 
-    def unclaim(self, seqs: Sequence[int]) -> None:
+    def unclaim(self, ids: Sequence[str]) -> None:
         """Put claimed chips back."""
-        if seqs:
-            self._write(lambda rows: _set_state(rows, seqs, WAITING))
+        if ids:
+            self._write(lambda rows: rows.executemany(
+                'UPDATE chips SET state = ? WHERE id = ? AND state = ?',
+                [(WAITING, each, CLAIMED) for each in ids],
+            ))
 
-    def released(self, seqs: Sequence[int], delivered: bool) -> None:
+    def released(self, ids: Sequence[str], delivered: bool) -> None:
         """Write down that chips are in the outbox, and whether they are delivered by that."""
         def work(rows: sqlite3.Cursor) -> None:
             # The outbox has the file now.
             rows.executemany(
-                'UPDATE chips SET state = ?, data = NULL WHERE seq = ?',
-                [(RELEASED, seq) for seq in seqs],
+                'UPDATE chips SET state = ?, data = NULL WHERE id = ? AND state = ?',
+                [(RELEASED, each, CLAIMED) for each in ids],
             )
             _book(rows, 'released', rows.rowcount)
             if delivered:
-                _deliver(rows, 'seq', seqs)
+                _deliver(rows, ids)
 
-        if seqs:
+        if ids:
             self._write(work)
 
     def delivered(self, ids: Sequence[str]) -> None:
         """Write down that the bus has taken chips from the outbox."""
         if ids:
-            self._write(lambda rows: _deliver(rows, 'id', ids))
+            self._write(lambda rows: _deliver(rows, ids))
 
-    def ids(self, state: int) -> list[tuple[int, str]]:
-        """List sequence number and id of the chips in a state."""
-        return self._catalogue.run(lambda rows: rows.execute(
-            'SELECT seq, id FROM chips WHERE state = ?', (state,)
-        ).fetchall())
+    def ids(self, state: int) -> list[str]:
+        """List the ids of the chips in a state."""
+        return [chip_id for (chip_id,) in self._catalogue.run(lambda rows: rows.execute(
+            'SELECT id FROM chips WHERE state = ?', (state,)
+        ).fetchall())]
 
-    def set_aside(self, seq: int) -> None:
+    def set_aside(self, chip_id: str) -> None:
         """Take a chip whose file is damaged out of the catalogue, and count it as evicted."""
         def work(rows: sqlite3.Cursor) -> None:
-            rows.execute('DELETE FROM chips WHERE seq = ?', (seq,))
+            rows.execute('DELETE FROM chips WHERE id = ?', (chip_id,))
             _book(rows, 'evicted.damaged', rows.rowcount)
 
         self._write(work)
@@ -412,8 +422,10 @@ class Spool:
         """Change the value of waiting chips that meet a condition; return how many."""
         def work(rows: sqlite3.Cursor) -> int:
             rows.execute(
-                f'UPDATE chips SET value = value * ? + ? WHERE state = ? AND {where}',
-                (factor, addend, WAITING, *values),
+                # JSON has no infinite numbers.
+                'UPDATE chips SET value = max(min(value * ? + ?, ?), ?) '
+                f'WHERE state = ? AND {where}',
+                (factor, addend, sys.float_info.max, -sys.float_info.max, WAITING, *values),
             )
             return rows.rowcount
 
@@ -480,6 +492,11 @@ class Spool:
             f'INSERT INTO chips ({_COLUMNS}, data) VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
             [self._row(last + 1 + i, chip) for i, chip in enumerate(chips)],
         )
+        # Once for all of them: a trigger would take as long as the insertion.
+        rows.execute(
+            'UPDATE totals SET chips = chips + ?, bytes = bytes + ? WHERE state = ?',
+            (len(chips), sum(len(chip.data) for chip in chips), WAITING),
+        )
         if max_bytes:
             _evict(rows, max_bytes)
 
@@ -501,10 +518,11 @@ class Spool:
 
     def _settle(self, rows: sqlite3.Cursor, frame: Frame, refused: Mapping[str, int]) -> None:
         """Close a frame; one that was planned in another catalogue, or in none, is planned here."""
-        if frame.catalogue == self._catalogue.tag:
-            rows.execute('DELETE FROM frames WHERE number = ?', (frame.number,))
-        else:
+        if frame.catalogue != self._catalogue.tag:
             _book(rows, 'planned', frame.chips)
+        elif not rows.execute('DELETE FROM frames WHERE number = ?', (frame.number,)).rowcount:
+            # Closed meanwhile, so it was taken for a frame of a process that had ended.
+            _book(rows, 'refused.interrupted', -frame.chips)
         for reason, count in refused.items():
             _book(rows, f'refused.{reason}', count)
 
@@ -526,9 +544,13 @@ class Spool:
             raise SpoolError(f'{self._folder}: another process releases this spool')
 
 
-def is_intact(description: Mapping[str, Any], data: bytes) -> bool:
-    """Return whether a chip's file is the one that its description was written for."""
-    return bool(description['sha256'] == hashlib.sha256(data).hexdigest())
+def describe_intact(chip: StoredChip, data: bytes) -> dict[str, Any] | None:
+    """Describe a chip; None if its description or its file, which is given, is damaged."""
+    with suppress(ValueError, KeyError, TypeError):
+        description = chip.describe()
+        whole = description['sha256'] == hashlib.sha256(data).hexdigest()
+        return description if whole and description['codec'] in CODECS else None
+    return None
 
 
 # Bytes that a chip costs on the link: file and JSON, with at most so many bytes for id and value.
@@ -554,17 +576,12 @@ def _refuse_interrupted(rows: sqlite3.Cursor, writer: int) -> None:
     _book(rows, 'refused.interrupted', chips)
 
 
-def _set_state(rows: sqlite3.Cursor, seqs: Sequence[int], state: int) -> None:
-    """Move chips to a state."""
-    rows.executemany('UPDATE chips SET state = ? WHERE seq = ?', [(state, seq) for seq in seqs])
-
-
-def _deliver(rows: sqlite3.Cursor, key: str, values: Sequence[Any]) -> None:
+def _deliver(rows: sqlite3.Cursor, ids: Sequence[str]) -> None:
     """Count chips as delivered and take them out."""
-    for value in values:
-        row = rows.execute(f'SELECT bytes FROM chips WHERE {key} = ?', (value,)).fetchone()
+    for each in ids:
+        row = rows.execute('SELECT bytes FROM chips WHERE id = ?', (each,)).fetchone()
         if row is not None:
-            rows.execute(f'DELETE FROM chips WHERE {key} = ?', (value,))
+            rows.execute('DELETE FROM chips WHERE id = ?', (each,))
             _book(rows, 'delivered', 1)
             _book(rows, 'delivered_bytes', row[0])
 
@@ -583,8 +600,10 @@ def _evict(rows: sqlite3.Cursor, max_bytes: float) -> None:
             break
     _book(rows, 'evicted.max_bytes', evicted)
     # Free pages are used again; only those far beyond a limit that was lowered go to the disk.
-    if _pragma(rows, 'page_count') > _SLACK * most:
-        rows.execute(f'PRAGMA incremental_vacuum({_PAGES_GIVEN_BACK})').fetchall()
+    excess = _pragma(rows, 'page_count') - int(_SLACK * most)
+    for _ in range(min(excess, _pragma(rows, 'freelist_count'), _PAGES_GIVEN_BACK)):
+        # One after the other: Python takes one step of a statement without rows.
+        rows.execute('PRAGMA incremental_vacuum(1)')
 
 
 def _pragma(rows: sqlite3.Cursor, name: str) -> int:
@@ -607,10 +626,13 @@ def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
         Chips whose file is the one that was stored.
     """
     database = sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro', uri=True)
+    database.text_factory = lossy_text
     seen: set[int] = set()
     try:
         for order in ('ASC', 'DESC'):
             with suppress(sqlite3.DatabaseError):
+                # With it, SQLite reads a file that has lost its end.
+                database.execute('PRAGMA writable_schema = ON')
                 for data, *fields in database.execute(
                     f'SELECT data, {_COLUMNS} FROM chips ORDER BY seq {order}'
                 ):
@@ -618,7 +640,7 @@ def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
                     if chip.seq in seen:
                         break
                     seen.add(chip.seq)
-                    if data is not None and is_intact(chip.describe(), data):
+                    if data is not None and describe_intact(chip, data):
                         yield chip, data
     finally:
         database.close()

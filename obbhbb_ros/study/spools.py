@@ -21,7 +21,7 @@ from obbhbb_ros.downlink.spool import WAITING
 from obbhbb_ros.downlink.spool import Spool
 from obbhbb_ros.downlink.spool import Status
 from obbhbb_ros.downlink.spool import StoredChip
-from obbhbb_ros.downlink.spool import is_intact
+from obbhbb_ros.downlink.spool import describe_intact
 from obbhbb_ros.study.progress import note
 from obbhbb_ros.study.progress import track
 
@@ -134,7 +134,7 @@ def wrong_with(spool: Spool) -> Iterator[str]:
         yield f'the books do not balance: {balance} chips are unaccounted for'
     for chip in track(spool.select(), 'checking'):
         data = spool.data(chip.seq)
-        if data is not None and not is_intact(chip.describe(), data):
+        if data is not None and describe_intact(chip, data) is None:
             yield f'{chip.id}: its file is damaged'
 
 

@@ -17,6 +17,8 @@
 namespace {
 long calls_left = -1;  // before the process is killed; negative: never
 long calls = 0;
+long calls_right = 0, calls_wrong = 0;  // that succeed, and that fail after them
+int error = 0;  // with which they fail
 char folder[4096] = "";  // only calls for files in it count
 
 bool in_folder(const char * path) {
@@ -52,6 +54,8 @@ bool fails(File file) {
   ++calls;
   if (calls_left >= 0 && calls_left-- == 0) raise(SIGKILL);
   int number = failure();
+  if (calls_right > 0) --calls_right;
+  else if (calls_wrong > 0) { --calls_wrong; number = error; }
   if (number) errno = number;
   return number != 0;
 }
@@ -66,6 +70,13 @@ void faults_arm(const char * path, long before) {
   std::strncpy(folder, path, sizeof folder - 1);
   calls = 0;
   calls_left = before;
+  calls_right = calls_wrong = 0;
+}
+void faults_fail(const char * path, long before, long count, int number) {
+  faults_arm(path, -1);
+  calls_right = before;
+  calls_wrong = count;
+  error = number;
 }
 long faults_calls() { return calls; }
 

@@ -3,20 +3,24 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import json
+import re
 import signal
 import sqlite3
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import kills
 import numpy as np
 import pytest
+from faults.library import build
 from harness import ChipNode
 from harness import Converter
 from harness import Counts
@@ -329,6 +333,29 @@ def test_a_spool_that_is_deleted_is_said_and_begins_anew(chain: Chain) -> None:
     assert chain.books()['spool.planned'] == 2
 
 
+@pytest.mark.parametrize('error', [errno.ENOSPC, errno.EROFS], ids=errno.errorcode.get)
+def test_a_disk_that_fails_is_said_and_survived_and_chips_go_on_by_topic(
+    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int
+) -> None:
+    flag = tmp_path / 'failing'
+    monkeypatch.setenv('LD_PRELOAD', str(build(tmp_path)))
+    monkeypatch.setenv('FAULT_FOLDER', str(tmp_path / 'spool'))
+    monkeypatch.setenv('FAULT_FLAG', str(flag))
+    with Chain(site, tmp_path) as chain:
+        flag.write_text(str(error))
+        chain.chips.forget()
+        chain.store([0.5] * 5)
+        chain.chips.wait(lambda: len(chain.chips.chips) == 5, 'the chips on their topic')
+        chain.chips.wait_for_log('spool: ')
+        chain.chips.wait(lambda: chain.chips.warned('spool: '), 'the level')
+        flag.unlink()
+        chain.store([0.6] * 3)
+        chain.chips.wait(lambda: chain.books()['spool.waiting'] == 4, 'chips in the spool again')
+        assert chain.books()['spool.refused.spool_failed'] == 5
+        node = chain.downlink()
+        node.wait(lambda: node.counts()['spool.delivered'] == 4, 'a release')
+
+
 def test_a_damaged_catalogue_is_set_aside_and_chips_go_on(chain: Chain) -> None:
     (catalogue,) = chain.spool.glob('chips_*.sqlite3')
     # Overwritten in place, as a failing disk does.
@@ -392,7 +419,12 @@ def test_every_key_of_the_downlink_node_is_explained(chain: Chain) -> None:
     assert not unexplained(chain.books(), 'chip_extractor.md')
 
 
-def test_the_books_balance_after_every_kill_and_the_bus_has_what_they_say(
-    site: Site, tmp_path: Path
-) -> None:
-    kills.run(site, tmp_path, count=15, seed=1)
+@pytest.mark.once
+def test_the_books_balance_after_every_kill_and_the_bus_has_what_they_say() -> None:
+    command = Path(__file__).parents[1] / 'soak' / 'kills.py'
+    done = subprocess.run(
+        [sys.executable, command, '--count', '30', '--seed', '1'],
+        check=False, capture_output=True, text=True, timeout=300,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r'3[01] kills, .*none wrong', done.stdout)

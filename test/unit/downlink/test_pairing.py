@@ -157,3 +157,66 @@ def test_pairs_of_long_ago_are_forgotten() -> None:
     for stamp in [*range(1, 3000), 1]:
         log.add(0, stamp, stamp)
         assert log.add(1, stamp, stamp) == (stamp, stamp)
+
+
+# Stamps that differ
+
+
+def slop_of(seconds):
+    return PairingLimits((5, 5), 10.0, seconds)
+
+
+@pytest.mark.parametrize('second', [(5, 10_000_000), (4, 990_000_000)])
+@pytest.mark.parametrize('kinds', [(0, 1), (1, 0)])
+@pytest.mark.parametrize('slop', [0.0, 0.009, 0.01, 0.02])
+def test_stamps_that_differ_by_no_more_than_the_slop_pair(second, kinds, slop) -> None:
+    log = Log()
+    log.pairing.add(kinds[0], (5, 0), kinds[0], 0.0, slop_of(slop))
+    pair = log.pairing.add(kinds[1], second, kinds[1], 0.0, slop_of(slop))
+    assert pair == ((0, 1) if slop >= 0.01 else None)
+    assert log.let_go == []
+
+
+@pytest.mark.parametrize(
+    ('stamp', 'partner'),
+    [(100, 100), (104, 100), (105, 100), (106, 110), (95, 100), (120, 120), (125, 120),
+     (131, None), (90, 100), (89, None)],
+)
+def test_the_nearest_waiting_stamp_is_the_partner_the_earlier_of_two(stamp, partner) -> None:
+    log, limits = Log(), slop_of(10e-9)
+    for each in (100, 110, 120):
+        log.pairing.add(0, (5, each), each, 0.0, limits)
+    pair = log.pairing.add(1, (5, stamp), 'plan', 0.0, limits)
+    assert pair == (None if partner is None else (partner, 'plan'))
+
+
+def test_an_item_is_paired_once_whatever_is_near() -> None:
+    log, limits = Log(), slop_of(10e-9)
+    log.pairing.add(0, (5, 100), 'image', 0.0, limits)
+    assert log.pairing.add(1, (5, 101), 'first', 0.0, limits) == ('image', 'first')
+    # The same plan again, and the same image: both have had their partner.
+    assert log.pairing.add(1, (5, 101), 'first', 0.0, limits) is None
+    assert log.pairing.add(1, (5, 102), 'second', 0.0, limits) is None
+    assert log.pairing.add(0, (5, 100), 'image', 0.0, limits) is None
+    assert log.let_go == [(1, Unpaired.DUPLICATE, 'first'), (0, Unpaired.DUPLICATE, 'image')]
+
+
+NANOSECONDS = st.lists(
+    st.tuples(st.integers(0, 1), st.integers(1, 200)), max_size=50, unique=True
+)
+
+
+@given(NANOSECONDS, st.integers(0, 30))
+def test_no_pair_is_farther_apart_than_the_slop(events, slop) -> None:
+    log, limits = Log(), PairingLimits((100, 100), 10.0, slop * 1e-9)
+    paired = 0
+    for kind, stamp in sorted(events, key=lambda event: event[1]):
+        waiting = [each for each in log.pairing.waiting(1 - kind) if abs(each - stamp) <= slop]
+        pair = log.pairing.add(kind, (0, stamp), stamp, 0.0, limits)
+        assert (pair is not None) == bool(waiting)
+        if pair:
+            paired += 2
+            assert pair[kind] == stamp
+            assert abs(pair[0] - pair[1]) == min(abs(each - stamp) for each in waiting)
+    assert paired + len(waiting_items(log)) == len(events)
+    assert log.let_go == []

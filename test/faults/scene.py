@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A writer, a releaser and a bus at work, and what must be true of what they leave behind."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import sys
+from collections import Counter
+from contextlib import suppress
+from hashlib import sha256
+from itertools import count
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from spooled import Clock
+from spooled import database
+from spooled import in_outbox
+from spooled import new_chip
+from spooled import releaser
+
+from obbhbb_ros.downlink.catalogue import files
+from obbhbb_ros.downlink.release import ReleaseSettings
+from obbhbb_ros.downlink.spool import CLAIMED
+from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.downlink.spool import Status
+
+PLANNED = 8
+
+
+class Scene:
+    """
+    What happens below a folder.
+
+    `on_board` has spool and outbox; the bus moves chips to `ground`.
+    """
+
+    def __init__(self, folder: Path, removal: bool) -> None:
+        self.on_board, self.ground = folder / 'on_board', folder / 'ground'
+        self.on_board.mkdir(parents=True, exist_ok=True)
+        self.ground.mkdir(exist_ok=True)
+        self.troubles: list[str] = []
+        self.clock = Clock()
+        self.writer = Spool(self.on_board / 'spool', self.troubles.append, 'writer')
+        self.releaser = releaser(
+            self.on_board, self.troubles.append, self.clock, ReleaseSettings(removal=removal)
+        )
+
+    def play(self) -> None:
+        """Plan, store, release, take: frames of 5 and 3 chips, one of which is refused."""
+        frame = self.writer.plan(5)
+        self.writer.store(
+            frame, [new_chip(0.1 * i, 3000, (5, i)) for i in range(4)], {'encoder_failed': 1}
+        )
+        self.steps(2)
+        frame = self.writer.plan(3)
+        self.bus()
+        # A full one: the least valuable goes.
+        self.writer.store(frame, [new_chip(0.9, 3000), new_chip(0.8, 3000), new_chip(0.0, 40_000)],
+                          {}, 100_000.0)
+        self.steps(2)
+
+    def steps(self, number: int) -> None:
+        """Release, and let time go by in which the bus is looked after."""
+        for _ in range(number):
+            self.releaser.step()
+            self.clock.now += 100.0
+
+    def bus(self) -> None:
+        """Take what is complete."""
+        for path in sorted((self.on_board / 'outbox').glob('*/[!.]*.json')):
+            described = json.loads(path.read_text(encoding='utf-8'))
+            chip = path.with_suffix('.jpg')
+            assert described['sha256'] == sha256(chip.read_bytes()).hexdigest(), path
+            for each in (chip, path):
+                number = next(i for i in count() if not (self.ground / f'{i}_{each.name}').exists())
+                each.rename(self.ground / f'{number}_{each.name}')
+
+    def claimed(self) -> set[str]:
+        """List the chips whose release is not recorded, past the code that is tested."""
+        with suppress(sqlite3.OperationalError):
+            if files(self.on_board / 'spool'):
+                with database(self.on_board / 'spool') as rows:
+                    return {chip_id for (chip_id,) in rows.execute(
+                        'SELECT id FROM chips WHERE state = ?', [CLAIMED])}
+        return set()
+
+    def recover(self, may_come_twice: set[str]) -> Status:
+        """Go on after whatever has happened, to the end; AssertionError if anything is amiss."""
+        self.releaser.contact = False
+        self.steps(1)
+        self.writer.plan(0)
+        status = self.writer.status()
+        assert status.balance == 0, status
+        assert status.in_work == 0, status
+        in_outbox(self.on_board / 'outbox')
+        self.releaser.contact = True
+        self.steps(2)
+        self.bus()
+        self.steps(1)
+        status = self.writer.status()
+        assert status.balance == 0, status
+        assert status.waiting == status.in_outbox == 0, status
+        down = Counter(path.name.partition('_')[2] for path in self.ground.glob('*.json'))
+        assert {Path(each).stem for each, n in down.items() if n > 1} <= may_come_twice, down
+        assert len(down) == status.counts.get('delivered', 0), status
+        assert len(down) == status.counts.get('released', 0), status
+        assert status.set_aside == 0
+        return status
+
+    def close(self) -> None:
+        """Close both."""
+        self.writer.close()
+        self.releaser._spool.close()

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The outbox: a chip is there with its JSON, or not at all."""
+
+import errno
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from obbhbb_ros.downlink import outbox as module
+from obbhbb_ros.downlink.outbox import Outbox
+from obbhbb_ros.downlink.outbox import json_bytes
+from obbhbb_ros.downlink.outbox import level_of
+
+
+def put(outbox, name='a', data=b'data', level=0, suffix='jpg'):
+    outbox.put(name, suffix, data, {'id': name, 'text': 'größe'}, level)
+
+
+def names(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob('*') if path.is_file())
+
+
+@pytest.mark.parametrize('level', [0, 1, 12])
+@pytest.mark.parametrize('suffix', ['jpg', 'jp2'])
+def test_a_chip_lies_beside_its_json_in_the_folder_of_its_level(tmp_path, level, suffix) -> None:
+    put(Outbox(tmp_path), level=level, suffix=suffix)
+    assert names(tmp_path) == [f'{level}/a.{suffix}', f'{level}/a.json']
+    assert (tmp_path / str(level) / f'a.{suffix}').read_bytes() == b'data'
+    described = json.loads((tmp_path / str(level) / 'a.json').read_text(encoding='utf-8'))
+    assert described == {'id': 'a', 'text': 'größe'}
+
+
+def test_the_json_gets_its_name_last_when_both_are_on_disk(tmp_path, monkeypatch) -> None:
+    done = []
+    fsync, replace = os.fsync, os.replace
+
+    def noted_fsync(descriptor):
+        done.append(('fsync', Path(os.readlink(f'/proc/self/fd/{descriptor}')).suffix))
+        fsync(descriptor)
+
+    def noted_replace(source, target):
+        done.append(('replace', Path(target).suffix))
+        replace(source, target)
+
+    monkeypatch.setattr(os, 'fsync', noted_fsync)
+    monkeypatch.setattr(os, 'replace', noted_replace)
+    put(Outbox(tmp_path))
+    # Of the file, its name, of the folder; '' is the folder.
+    assert done == [
+        ('fsync', '.jpg'), ('replace', '.jpg'), ('fsync', ''),
+        ('fsync', '.json'), ('replace', '.json'), ('fsync', ''),
+    ]
+
+
+def test_a_chip_that_is_there_is_replaced(tmp_path) -> None:
+    outbox = Outbox(tmp_path)
+    put(outbox, data=b'old')
+    put(outbox, data=b'new')
+    assert (tmp_path / '0' / 'a.jpg').read_bytes() == b'new'
+    assert len(names(tmp_path)) == 2
+
+
+@pytest.mark.parametrize('failing', [0, 1, 2, 3])
+def test_a_chip_that_fails_leaves_no_half(tmp_path, monkeypatch, failing) -> None:
+    outbox, calls = Outbox(tmp_path), []
+    real = os.fsync
+
+    def fail(descriptor):
+        calls.append(descriptor)
+        if len(calls) == failing + 1:
+            raise OSError(errno.ENOSPC, 'No space left on device')
+        real(descriptor)
+
+    monkeypatch.setattr(os, 'fsync', fail)
+    with pytest.raises(OSError, match='No space left'):
+        put(outbox)
+    # Before the last, the JSON has no name.
+    assert names(tmp_path) == ([] if failing < 3 else ['0/a.jpg', '0/a.json'])
+
+
+def test_what_is_there_is_listed(tmp_path) -> None:
+    outbox = Outbox(tmp_path)
+    outbox.token()
+    put(outbox, 'a', b'12345')
+    put(outbox, 'b', b'123', level=1)
+    put(outbox, 'c')
+    put(outbox, 'd')
+    (tmp_path / '0' / 'c.jpg').unlink()
+    (tmp_path / '0' / 'd.json').unlink()
+    (tmp_path / '0' / '.1234.jpg').write_bytes(b'unfinished')
+    (tmp_path / 'log.txt').write_text('of the bus')
+    (tmp_path / 'other').mkdir()
+    (tmp_path / 'other' / 'e.json').write_text('{}')
+    contents = outbox.contents()
+    assert contents.complete == {'a', 'b'}
+    assert contents.partial == {'c', 'd'}
+    assert [each in contents for each in 'abcde'] == [True] * 4 + [False]
+    sizes = [(tmp_path / each).stat().st_size for each in names(tmp_path)
+             if each[0] in '01' and not each[2:].startswith('.')]
+    assert contents.bytes == sum(sizes)
+
+
+def test_a_chip_that_is_taken_while_it_is_looked_at_is_not_there(tmp_path, monkeypatch) -> None:
+    outbox = Outbox(tmp_path)
+    put(outbox)
+    put(outbox, 'b')
+    real = os.scandir
+
+    def scandir(folder):
+        entries = list(real(folder))
+        for entry in entries:
+            if entry.name.startswith('a.'):
+                os.unlink(entry.path)
+        return iter(entries)
+
+    monkeypatch.setattr(module.os, 'scandir', scandir)
+    contents = outbox.contents()
+    assert (contents.complete, contents.partial) == ({'b'}, set())
+
+
+def test_an_outbox_that_is_not_there_is_not_an_empty_one(tmp_path) -> None:
+    with pytest.raises(FileNotFoundError):
+        Outbox(tmp_path / 'missing').contents()
+
+
+def test_unfinished_files_are_removed_and_nothing_else(tmp_path) -> None:
+    outbox = Outbox(tmp_path)
+    token = outbox.token()
+    for name in 'abc':
+        put(outbox, name)
+    (tmp_path / '0' / 'b.json').unlink()
+    (tmp_path / '0' / 'c.json').unlink()
+    (tmp_path / '0' / '.1234.jpg').write_bytes(b'')
+    outbox.remove_unfinished(['b'])
+    assert names(tmp_path) == ['.outbox', '0/a.jpg', '0/a.json', '0/c.jpg']
+    assert outbox.token() == token
+
+
+def test_every_outbox_has_a_token_of_its_own(tmp_path) -> None:
+    first, second = Outbox(tmp_path / 'a'), Outbox(tmp_path / 'b')
+    assert first.token() == Outbox(tmp_path / 'a').token() != second.token()
+    shutil.rmtree(tmp_path / 'a')
+    assert first.token() not in ('', second.token())
+
+
+@given(st.floats(-2.0, 2.0), st.lists(st.floats(-1.0, 1.0), max_size=5))
+def test_a_level_counts_the_thresholds_above(value, thresholds) -> None:
+    level = level_of(value, thresholds)
+    assert level == len([each for each in thresholds if value < each])
+    assert level_of(value + 0.5, thresholds) <= level
+
+
+@pytest.mark.parametrize('text', ['größe', '船', '\ud800', 'a"b'])
+def test_json_is_utf8(text) -> None:
+    assert json.loads(json_bytes({'text': text}))['text'] == text.replace('\ud800', '?')

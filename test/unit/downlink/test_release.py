@@ -1,0 +1,627 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the spool to the outbox: in order, within the budget, each chip once."""
+
+import errno
+import os
+import shutil
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import settings as profile
+from hypothesis import strategies as st
+from spooled import RELEASE
+from spooled import Clock
+from spooled import database
+from spooled import in_outbox
+from spooled import new_chip
+from spooled import releaser
+from spooled import store
+from spooled import values_in_outbox
+
+from obbhbb_ros.downlink.budget import BudgetSettings
+from obbhbb_ros.downlink.outbox import Outbox
+from obbhbb_ros.downlink.release import ReleaseSettings
+from obbhbb_ros.downlink.spool import CLAIMED
+from obbhbb_ros.downlink.spool import Spool
+
+REMOVAL = ReleaseSettings(removal=True)
+
+
+class Ground:
+    """A writer, a releaser, and what they report."""
+
+    def __init__(self, folder, settings=RELEASE):
+        self.folder, self.troubles, self.clock = folder, [], Clock()
+        self.writer = Spool(folder / 'spool', self.troubles.append, 'writer')
+        self.open(settings)
+
+    def open(self, settings):
+        self.releaser = releaser(self.folder, self.troubles.append, self.clock, settings)
+
+    def restart(self):
+        """End the releaser at once, and start another."""
+        self.releaser._spool.close()
+        self.open(self.releaser.settings)
+
+    def set(self, **changes):
+        self.releaser.settings = replace(self.releaser.settings, **changes)
+
+    def steps(self, count=1, seconds=0.0):
+        for _ in range(count):
+            self.releaser.step()
+            self.clock.now += seconds
+
+    def out(self):
+        return values_in_outbox(self.folder / 'outbox')
+
+    def remove(self, values):
+        """Take chips away, as the bus does."""
+        for path in list((self.folder / 'outbox').glob('*/*.json')):
+            if in_outbox(self.folder / 'outbox')[path.stem]['value'] in values:
+                path.with_suffix('.jpg').unlink()
+                path.unlink()
+
+    def status(self):
+        status = self.writer.status()
+        assert status.balance == 0
+        return status
+
+    def close(self):
+        self.writer.close()
+        self.releaser._spool.close()
+
+
+@pytest.fixture
+def ground(tmp_path):
+    made = Ground(tmp_path)
+    yield made
+    made.close()
+
+
+def test_chips_are_released_with_what_is_known_of_them(ground) -> None:
+    ground.writer.store(ground.writer.plan(1), [new_chip(0.9, class_id='Schlepper')], {})
+    (chip,) = ground.writer.select()
+    ground.steps()
+    assert in_outbox(ground.folder / 'outbox') == {chip.id: chip.describe()}
+    status = ground.status()
+    assert status.counts == {'planned': 1, 'released': 1, 'delivered': 1, 'delivered_bytes': 300}
+    assert ground.releaser.stalled_by == ''
+    ground.steps()
+    assert ground.releaser.stalled_by == 'nothing waits'
+    assert ground.troubles == []
+
+
+def test_nothing_is_released_without_contact(ground) -> None:
+    store(ground.writer, [0.5])
+    ground.releaser.contact = False
+    ground.steps(3)
+    assert ground.releaser.stalled_by == 'no contact'
+    assert ground.out() == []
+    ground.releaser.contact = True
+    ground.steps()
+    assert ground.out() == [0.5]
+
+
+def noted_puts(monkeypatch):
+    """List the values of chips in the order of their release."""
+    order = []
+    real = Outbox.put
+
+    def put(self, chip_id, suffix, data, description, level):
+        order.append(description['value'])
+        real(self, chip_id, suffix, data, description, level)
+
+    monkeypatch.setattr(Outbox, 'put', put)
+    return order
+
+
+def test_the_order_is_by_value_over_all_frames(ground, monkeypatch) -> None:
+    order = noted_puts(monkeypatch)
+    values = [(7 * i % 50) / 50 for i in range(50)]
+    for i in range(0, 50, 10):
+        store(ground.writer, values[i : i + 10])
+    ground.steps(1)
+    store(ground.writer, [2.0])
+    ground.steps(6)
+    first = sorted(values, reverse=True)
+    assert order == first[:16] + [2.0] + first[16:]
+
+
+def test_a_chip_goes_into_the_folder_of_its_level(ground) -> None:
+    ground.set(levels=(0.8, 0.5))
+    store(ground.writer, [0.9, 0.8, 0.6, 0.1])
+    ground.steps()
+    assert {
+        path.parent.name: path.read_bytes()[:3]
+        for path in sorted((ground.folder / 'outbox').glob('*/*.jpg'))
+    } == {'0': b'0.9', '1': b'0.6', '2': b'0.1'} | {'0': b'0.8'}
+
+
+# Budget
+
+
+@profile(max_examples=25)
+@given(
+    st.floats(500.0, 20_000.0), st.sampled_from([0.0, 1500.0, 6000.0]), st.sampled_from([0, 100]),
+    st.lists(st.floats(0.0, 0.6), min_size=10, max_size=40), st.data(),
+)
+def test_the_budget_is_held_in_every_second(
+    tmp_path_factory, rate, burst, overhead, pauses, data
+) -> None:
+    budget = BudgetSettings(bytes_per_second=rate, burst=burst, overhead=overhead)
+    ground = Ground(tmp_path_factory.mktemp('g'), ReleaseSettings(budget=budget))
+    outbox = ground.folder / 'outbox'
+    sizes = data.draw(st.lists(st.integers(10, 3000), min_size=30, max_size=30))
+    chips = [new_chip(0.5, size) for size in sizes]
+    ground.writer.store(ground.writer.plan(30), chips, {})
+    sent = [(ground.clock.now, 0)]
+    for pause in pauses:
+        ground.clock.now += pause
+        ground.steps()
+        total = sum(
+            path.stat().st_size + (overhead if path.suffix == '.json' else 0)
+            for path in outbox.glob('[0-9]/*')
+        )
+        sent.append((ground.clock.now, total))
+    ground.close()
+    for i, (start, before) in enumerate(sent):
+        for end, after in sent[i:]:
+            assert after - before <= (burst or rate) + rate * (end - start) + 1e-6
+    assert ground.troubles == []
+
+
+def test_the_most_valuable_chip_is_waited_for(ground) -> None:
+    ground.writer.store(
+        ground.writer.plan(2), [new_chip(0.9, 3000), new_chip(0.8, 10)], {}
+    )
+    ground.set(budget=BudgetSettings(bytes_per_second=1000.0, burst=5000.0))
+    ground.steps(3)
+    assert ground.releaser.stalled_by == 'link budget'
+    assert ground.out() == []
+    ground.clock.now += 4.0
+    ground.steps()
+    assert 0.9 in ground.out()
+
+
+def test_a_stalled_step_tells_when_the_next_makes_sense(ground) -> None:
+    ground.set(budget=BudgetSettings(bytes_per_second=100_000.0))
+    store(ground.writer, [0.5], 1000)
+    pause = ground.releaser.step()
+    # File, JSON of 300 to 500 bytes, and 128.
+    assert 0.013 < pause < 0.017
+    ground.clock.now += pause
+    ground.steps()
+    assert ground.out() == [0.5]
+
+
+def test_a_chip_beyond_the_burst_stays_and_holds_up_nothing(ground) -> None:
+    ground.set(budget=BudgetSettings(bytes_per_second=2000.0))
+    ground.writer.store(ground.writer.plan(2), [new_chip(0.9, 5000), new_chip(0.8, 10)], {})
+    ground.clock.now += 1.0
+    ground.steps(3, 1.0)
+    assert ground.out() == [0.8]
+    assert ground.releaser.stalled_by == 'nothing waits'
+    assert ground.status().waiting == 1
+
+
+def in_the_middle(monkeypatch, after, change):
+    """Do something after some chips of a batch."""
+    real, count = Outbox.put, []
+
+    def put(self, *args, **kwargs):
+        real(self, *args, **kwargs)
+        count.append(1)
+        if len(count) == after:
+            change()
+
+    monkeypatch.setattr(Outbox, 'put', put)
+
+
+CHANGES = {
+    'contact lost': lambda ground: setattr(ground.releaser, 'contact', False),
+    'budget set': lambda ground: ground.set(budget=BudgetSettings(bytes_per_second=5000.0)),
+    'outbox limited': lambda ground: ground.set(max_bytes=1.0),
+}
+
+
+@pytest.mark.parametrize('change', CHANGES.values(), ids=CHANGES.keys())
+def test_a_change_in_the_middle_of_a_batch_counts_at_once(ground, monkeypatch, change) -> None:
+    in_the_middle(monkeypatch, 3, lambda: change(ground))
+    store(ground.writer, [0.1 * i for i in range(10)])
+    ground.steps()
+    assert len(ground.out()) == 3
+    # The others are not on their way any more.
+    assert ground.writer.ids(CLAIMED) == []
+    assert ground.status().waiting == 7
+
+
+def test_an_overhead_that_grows_in_the_middle_of_a_batch_counts_at_once(ground, monkeypatch):
+    budget = BudgetSettings(bytes_per_second=10_000.0)
+    ground.set(budget=budget)
+    ground.steps()
+    ground.clock.now += 1.0
+    in_the_middle(monkeypatch, 2, lambda: ground.set(budget=replace(budget, overhead=9_500)))
+    store(ground.writer, [0.1 * i for i in range(8)])
+    ground.steps()
+    assert len(ground.out()) == 2
+
+
+def test_a_budget_that_is_lifted_counts_at_once(ground) -> None:
+    ground.set(budget=BudgetSettings(bytes_per_second=10.0))
+    store(ground.writer, [0.5] * 5)
+    ground.steps(2)
+    assert ground.out() == []
+    ground.set(budget=BudgetSettings())
+    ground.steps()
+    assert len(ground.out()) == 5
+
+
+# Delivered
+
+
+def test_a_chip_is_delivered_when_the_bus_has_removed_it(tmp_path) -> None:
+    ground = Ground(tmp_path, REMOVAL)
+    store(ground.writer, [0.9, 0.8, 0.7])
+    ground.steps(3, 2.0)
+    status = ground.status()
+    assert (status.in_outbox, status.waiting, status.counts['released']) == (3, 0, 3)
+    assert 'delivered' not in status.counts
+    ground.remove([0.8])
+    ground.steps(2, 2.0)
+    status = ground.status()
+    assert (status.in_outbox, status.counts['delivered']) == (2, 1)
+    # Both files.
+    for path in (tmp_path / 'outbox').glob('*/*.json'):
+        path.unlink()
+    ground.steps(2, 100.0)
+    assert ground.status().in_outbox == 2
+    for path in (tmp_path / 'outbox').glob('*/*.jpg'):
+        path.unlink()
+    ground.steps(2, 100.0)
+    assert ground.status().counts['delivered'] == 3
+    assert ground.troubles == []
+    ground.close()
+
+
+def test_removal_is_noticed_after_a_restart(tmp_path) -> None:
+    ground = Ground(tmp_path, REMOVAL)
+    store(ground.writer, [0.9, 0.8])
+    ground.steps()
+    ground.remove([0.9])
+    ground.restart()
+    ground.steps()
+    status = ground.status()
+    assert (status.in_outbox, status.counts['delivered']) == (1, 1)
+    ground.close()
+
+
+@pytest.mark.parametrize('contact', [True, False])
+def test_removal_is_noticed_without_contact_as_well(tmp_path, contact) -> None:
+    ground = Ground(tmp_path, REMOVAL)
+    store(ground.writer, [0.9])
+    ground.steps()
+    ground.remove([0.9])
+    ground.releaser.contact = contact
+    ground.clock.now += 100.0
+    ground.steps()
+    assert ground.status().counts['delivered'] == 1
+    ground.close()
+
+
+def test_chips_whose_removal_is_waited_for_go_on_being_waited_for(tmp_path) -> None:
+    ground = Ground(tmp_path, REMOVAL)
+    store(ground.writer, [0.9])
+    ground.steps()
+    ground.set(removal=False)
+    store(ground.writer, [0.8])
+    ground.steps(2, 100.0)
+    status = ground.status()
+    assert (status.in_outbox, status.counts['delivered']) == (1, 1)
+    ground.remove([0.9])
+    ground.steps(2, 100.0)
+    status = ground.status()
+    assert (status.in_outbox, status.counts['delivered']) == (0, 2)
+    ground.close()
+
+
+# Room in the outbox
+
+
+def test_a_full_outbox_keeps_chips_in_the_spool(ground) -> None:
+    ground.set(max_bytes=5000.0)
+    store(ground.writer, [0.1 * i for i in range(20)])
+    # It is not looked at in this time.
+    ground.steps(5, 0.01)
+    size = sum(path.stat().st_size for path in (ground.folder / 'outbox').glob('*/*'))
+    assert 3000 < size <= 5000
+    assert 'outbox is full' in ground.releaser.stalled_by
+    # Once, not at every step.
+    assert ground.troubles == [ground.releaser.stalled_by]
+    # A more valuable one overtakes them.
+    store(ground.writer, [9.0])
+    ground.remove(ground.out()[:3])
+    ground.steps(2, 100.0)
+    assert ground.out()[0] == 9.0
+
+
+def test_chips_in_the_outbox_at_start_take_room(ground) -> None:
+    store(ground.writer, [0.5] * 10)
+    ground.steps()
+    ground.set(max_bytes=5000.0)
+    store(ground.writer, [0.5] * 10)
+    ground.restart()
+    ground.steps(3, 2.0)
+    assert len(ground.out()) == 10
+
+
+# Interrupted releases
+
+
+class Killed(BaseException):
+    """The end of a process."""
+
+
+def killed_after(ground, monkeypatch, puts):
+    """End the releaser after it has put out some chips."""
+    real, count = Outbox.put, []
+
+    def put(self, *args):
+        if len(count) == puts:
+            raise Killed
+        count.append(1)
+        real(self, *args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Outbox, 'put', put)
+        with pytest.raises(Killed):
+            ground.releaser.step()
+    ground.restart()
+
+
+@pytest.mark.parametrize('settings', [ReleaseSettings(), REMOVAL], ids=['release', 'removal'])
+@pytest.mark.parametrize('taken', [False, True])
+def test_a_release_that_was_not_recorded_is_looked_up(
+    tmp_path, monkeypatch, settings, taken
+) -> None:
+    ground = Ground(tmp_path, settings)
+    ground.steps()
+    store(ground.writer, [0.9, 0.8, 0.7])
+    killed_after(ground, monkeypatch, 2)
+    assert len(ground.writer.ids(CLAIMED)) == 3
+    assert ground.out() == [0.9, 0.8]
+    if taken:
+        ground.remove([0.9])
+    order = noted_puts(monkeypatch)
+    ground.steps(2)
+    # What the bus has taken goes once more.
+    assert order == ([0.9, 0.7] if taken else [0.7])
+    assert ground.out() == [0.9, 0.8, 0.7]
+    assert ground.status().counts['released'] == 3
+    assert ground.writer.ids(CLAIMED) == []
+    ground.close()
+
+
+def test_unfinished_files_of_an_interrupted_release_are_removed(ground, monkeypatch) -> None:
+    store(ground.writer, [0.9, 0.8])
+    ground.steps(0)
+    killed_after(ground, monkeypatch, 1)
+    (kept,) = in_outbox(ground.folder / 'outbox')
+    lost = next(each for each in ground.writer.ids(CLAIMED) if each != kept)
+    level = ground.folder / 'outbox' / '0'
+    (level / f'{lost}.jpg').write_bytes(b'half')
+    (level / '.abcd.json').write_bytes(b'half')
+    ground.releaser.contact = False
+    ground.steps()
+    assert {path.stem for path in level.iterdir()} == {kept}
+    assert ground.status().waiting == 1
+
+
+# Trouble
+
+
+def test_a_damaged_chip_is_set_aside_and_holds_up_nothing(ground) -> None:
+    damages = ["data = x'00'", "facts = '{'", "facts = x'ff'", "facts = '[]'", "data = 'a'",
+               "facts = replace(facts, 'jpeg', 'bmp0')", "facts = '{\"sha256\": 1}'"]
+    store(ground.writer, [0.1 * i for i in range(len(damages) + 2)])
+    with database(ground.folder / 'spool') as rows:
+        for i, damage in enumerate(damages):
+            rows.execute(f'UPDATE chips SET {damage} WHERE seq = ?', [i + 2])
+    ground.steps(3)
+    assert ground.out() == [0.1 * (len(damages) + 1), 0.0]
+    assert ground.status().counts['evicted.damaged'] == len(damages)
+    assert len(ground.troubles) == len(damages)
+    assert all('damaged' in each for each in ground.troubles)
+
+
+def test_an_outbox_that_cannot_be_written_is_tried_again(ground, monkeypatch) -> None:
+    store(ground.writer, [0.9, 0.8, 0.7])
+    real = Outbox.put
+    failing = [True]
+
+    def put(self, chip_id, *args):
+        if failing and chip_id.endswith('_2'):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.folder))
+        real(self, chip_id, *args)
+
+    monkeypatch.setattr(Outbox, 'put', put)
+    # What the bus takes at once is not released again, though it was not written down.
+    for left in ([0.9], []):
+        assert ground.releaser.step() == 1.0
+        assert 'No space left' in ground.releaser.stalled_by
+        assert ground.out() == left
+        ground.remove([0.9])
+    assert ground.troubles == [ground.releaser.stalled_by] * 2
+    failing.clear()
+    ground.steps()
+    assert ground.out() == [0.8, 0.7]
+    assert ground.writer.ids(CLAIMED) == []
+    assert ground.status().counts['released'] == 3
+
+
+def test_a_record_that_fails_is_made_up_for(ground, monkeypatch) -> None:
+    store(ground.writer, [0.9, 0.8])
+    with monkeypatch.context() as patch:
+        def fail(ids, delivered):
+            if ids:
+                raise OSError(errno.EIO, 'Input/output error')
+
+        patch.setattr(ground.releaser._spool, 'released', fail)
+        ground.steps(3)
+    assert len(ground.troubles) == 3
+    order = noted_puts(monkeypatch)
+    ground.steps(2)
+    assert order == []
+    assert ground.status().counts['delivered'] == 2
+
+
+def test_a_second_releaser_releases_nothing(ground) -> None:
+    store(ground.writer, [0.9])
+    ground.steps()
+    store(ground.writer, [0.8])
+    second = releaser(ground.folder, ground.troubles.append)
+    assert second.step() == 1.0
+    assert 'another process releases' in second.stalled_by
+    assert ground.out() == [0.9]
+
+
+def test_a_spool_deleted_under_it_is_no_end(ground) -> None:
+    store(ground.writer, [0.9, 0.8])
+    ground.set(budget=BudgetSettings(bytes_per_second=1.0))
+    ground.steps()
+    shutil.rmtree(ground.folder / 'spool')
+    ground.set(budget=BudgetSettings())
+    store(ground.writer, [0.7])
+    ground.steps(2)
+    assert ground.out() == [0.7]
+    assert ground.status().counts['delivered'] == 1
+    assert any('deleted' in each for each in ground.troubles)
+
+
+def swap(outbox, other):
+    """Put another folder in place of the outbox, as mounting or unmounting does."""
+    aside = outbox.with_name('aside')
+    outbox.rename(aside)
+    if other.exists():
+        other.rename(outbox)
+    else:
+        outbox.mkdir()
+    aside.rename(other)
+
+
+def test_an_unmounted_outbox_delivers_nothing(tmp_path) -> None:
+    ground = Ground(tmp_path, REMOVAL)
+    outbox, other = tmp_path / 'outbox', tmp_path / 'other'
+    store(ground.writer, [0.9, 0.8])
+    ground.steps(2, 2.0)
+    swap(outbox, other)
+    for _ in range(2):
+        ground.clock.now += 100.0
+        store(ground.writer, [0.7])
+        ground.steps(2, 1.0)
+        assert 'is it mounted?' in ground.releaser.stalled_by
+        ground.restart()
+    assert ground.status().in_outbox == 2
+    assert in_outbox(outbox) == {}
+    swap(outbox, other)
+    ground.clock.now += 100.0
+    ground.steps(2, 1.0)
+    assert ground.out() == [0.9, 0.8, 0.7, 0.7]
+    assert 'delivered' not in ground.status().counts
+    ground.remove([0.9])
+    ground.steps(2, 100.0)
+    assert ground.status().counts['delivered'] == 1
+    ground.close()
+
+
+@pytest.mark.parametrize('restarted', [False, True])
+def test_what_went_into_an_unmounted_outbox_goes_again(tmp_path, restarted) -> None:
+    """Between two looks at the outbox nobody knows yet that another folder is in its place."""
+    ground = Ground(tmp_path, REMOVAL)
+    outbox, other = tmp_path / 'outbox', tmp_path / 'other'
+    store(ground.writer, [0.9])
+    ground.steps(2, 0.01)
+    swap(outbox, other)
+    store(ground.writer, [0.8])
+    ground.steps()
+    assert len(in_outbox(outbox)) == 1
+    assert 'is it mounted?' in ground.releaser.stalled_by
+    if restarted:
+        ground.restart()
+    ground.steps(2, 1.0)
+    swap(outbox, other)
+    ground.steps(3, 100.0)
+    assert ground.out() == [0.9, 0.8]
+    status = ground.status()
+    assert (status.in_outbox, status.counts['released']) == (2, 2)
+    ground.close()
+
+
+def test_an_outbox_unmounted_while_it_is_looked_at_delivers_nothing(tmp_path, monkeypatch) -> None:
+    ground = Ground(tmp_path, REMOVAL)
+    store(ground.writer, [0.9])
+    ground.steps(2, 100.0)
+    real = Outbox.contents
+
+    def contents(self):
+        swap(tmp_path / 'outbox', tmp_path / 'other')
+        return real(self)
+
+    monkeypatch.setattr(Outbox, 'contents', contents)
+    ground.steps()
+    assert ground.status().in_outbox == 1
+    ground.close()
+
+
+def test_an_outbox_without_chips_may_be_replaced(tmp_path) -> None:
+    ground = Ground(tmp_path, REMOVAL)
+    ground.steps(2, 2.0)
+    shutil.rmtree(tmp_path / 'outbox')
+    ground.clock.now += 100.0
+    store(ground.writer, [0.9])
+    ground.steps(2, 2.0)
+    assert ground.out() == [0.9]
+    assert ground.troubles == []
+    ground.close()
+
+
+# Anything, in any order
+
+
+@profile(max_examples=25)
+@given(st.lists(st.tuples(
+    st.sampled_from(['store', 'step', 'take', 'restart', 'contact', 'evict', 'removal']),
+    st.integers(0, 5),
+), max_size=25))
+def test_every_chip_comes_down_once(tmp_path_factory, actions) -> None:
+    folder = tmp_path_factory.mktemp('g')
+    ground, down = Ground(folder), []
+
+    def take(most):
+        for chip_id in list(in_outbox(folder / 'outbox'))[:most]:
+            down.append(chip_id)
+            for path in (folder / 'outbox').glob(f'*/{chip_id}.*'):
+                path.unlink()
+
+    does = {
+        'store': lambda number: store(ground.writer, [0.1 * i for i in range(number)], 3000),
+        'step': lambda number: ground.steps(number, 1.0),
+        'take': take,
+        'restart': lambda number: ground.restart(),
+        'contact': lambda number: setattr(ground.releaser, 'contact', bool(number % 2)),
+        'evict': lambda number: store(ground.writer, [1.0], 9000, 150_000.0),
+        'removal': lambda number: ground.set(removal=bool(number % 2)),
+    }
+    for action, number in actions:
+        does[action](number)
+        ground.status()
+    ground.releaser.contact = True
+    ground.steps(8, 100.0)
+    take(1000)
+    ground.steps(2, 100.0)
+    status = ground.status()
+    ground.close()
+    assert len(set(down)) == len(down) == status.counts.get('delivered', 0)
+    assert status.waiting == status.in_outbox == 0
+    assert len(down) + status.total('evicted') == status.counts.get('planned', 0)
+    assert ground.troubles == []

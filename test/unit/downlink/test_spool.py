@@ -1,0 +1,742 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The spool: whatever is done to it, every chip that is planned is accounted for."""
+
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine
+from hypothesis.stateful import invariant
+from hypothesis.stateful import rule
+from spooled import FACTS
+from spooled import database
+from spooled import new_chip
+from spooled import store
+
+from obbhbb_ros.downlink.catalogue import DAMAGED
+from obbhbb_ros.downlink.catalogue import SpoolError
+from obbhbb_ros.downlink.catalogue import files
+from obbhbb_ros.downlink.outbox import json_bytes
+from obbhbb_ros.downlink.spool import CLAIMED
+from obbhbb_ros.downlink.spool import RELEASED
+from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.downlink.spool import intact_chips
+
+ALL = float('inf')
+MB = 1e6
+
+
+@pytest.fixture
+def troubles():
+    return []
+
+
+@pytest.fixture
+def spool(tmp_path, troubles):
+    made = Spool(tmp_path, troubles.append, 'writer')
+    yield made
+    made.close()
+
+
+def claim(spool, most=100, room=ALL, largest=ALL, overhead=0):
+    """Claim chips; give their values."""
+    return [chip.value for chip, _ in spool.claim(most, room, largest, overhead)[0]]
+
+
+def counts(spool):
+    """Give the books, which balance."""
+    status = spool.status()
+    assert status.balance == 0
+    return status
+
+
+# Books
+
+
+def test_a_frame_is_in_work_until_its_chips_are_stored_or_refused(spool) -> None:
+    frame = spool.plan(5)
+    assert counts(spool).in_work == 5
+    refused = {'encoder_failed': 2, 'outside_image': 1}
+    assert spool.store(frame, [new_chip(), new_chip()], refused)
+    status = counts(spool)
+    assert (status.in_work, status.waiting, status.waiting_bytes) == (0, 2, 600)
+    assert status.counts == {
+        'planned': 5, 'refused.encoder_failed': 2, 'refused.outside_image': 1
+    }
+    assert status.total('refused') == 3
+
+
+@pytest.mark.parametrize('delivered', [True, False])
+def test_a_chip_goes_from_waiting_to_released_to_delivered(spool, delivered) -> None:
+    store(spool, [0.5, 0.6])
+    chips, _ = spool.claim(1, ALL, ALL, 0)
+    assert [data for _, data in chips] == [new_chip(0.6).data]
+    # On its way.
+    assert counts(spool).waiting == 2
+    ids = [chip.id for chip, _ in chips]
+    spool.released(ids, delivered)
+    status = counts(spool)
+    assert (status.waiting, status.waiting_bytes) == (1, 300)
+    assert status.in_outbox == (not delivered)
+    if not delivered:
+        assert spool.ids(RELEASED) == ids
+        assert spool.data(chips[0][0].seq) is None
+        spool.delivered(ids)
+    assert counts(spool).counts == {
+        'planned': 2, 'released': 1, 'delivered': 1, 'delivered_bytes': 300
+    }
+
+
+def test_nothing_is_counted_twice(spool) -> None:
+    store(spool, [0.5])
+    ids = [chip.id for chip, _ in spool.claim(1, ALL, ALL, 0)[0]]
+    for _ in range(2):
+        spool.released(ids, delivered=False)
+        spool.unclaim(ids)
+        assert (counts(spool).waiting, counts(spool).in_outbox) == (0, 1)
+    for _ in range(2):
+        spool.delivered(ids)
+    status = counts(spool)
+    assert (status.counts['released'], status.counts['delivered'], status.waiting) == (1, 1, 0)
+
+
+def test_the_books_are_kept_when_it_is_closed(spool, tmp_path) -> None:
+    store(spool, [0.5, 0.7])
+    before = counts(spool)
+    spool.close()
+    again = Spool(tmp_path, print)
+    assert counts(again) == before
+    assert [chip.value for chip in again.select()] == [0.7, 0.5]
+    again.close()
+
+
+# Chips
+
+
+def test_what_is_known_of_a_chip_is_kept(spool) -> None:
+    given = new_chip(0.25, 123, (1764285402, 5), 'Frachter', obb=None, score=None)
+    spool.store(spool.plan(1), [given], {})
+    (chip,) = spool.select()
+    described = chip.describe()
+    tag = files(Path(spool._folder))[0].stem[-6:]
+    assert described.pop('id') == chip.id == f'1764285402_000000005_{tag}_1'
+    assert len(described.pop('sha256')) == 64
+    assert described == FACTS | {
+        'stamp': {'sec': 1764285402, 'nanosec': 5}, 'class_id': 'Frachter', 'value': 0.25,
+        'obb': None, 'score': None, 'bytes': 123,
+    }
+    assert spool.data(chip.seq) == given.data
+
+
+@pytest.mark.parametrize('text', ['', 'größe', '船', 'a"b\\c', 'a\0b', '\x1b[31m', "'; DROP"])
+def test_any_text_is_kept(spool, text) -> None:
+    spool.store(spool.plan(1), [new_chip(class_id=text, frame_id=text)], {})
+    (chip,) = spool.select('class_id = ?', [text])
+    assert (chip.class_id, chip.describe()['frame_id']) == (text, text)
+
+
+@pytest.mark.parametrize('value', [float('nan'), ALL, -ALL])
+def test_a_value_must_be_finite(value) -> None:
+    with pytest.raises(ValueError, match='finite'):
+        new_chip(value)
+
+
+def test_no_number_is_given_twice(spool, tmp_path, troubles) -> None:
+    seen = []
+    for _ in range(3):
+        store(spool, [0.5, 0.6])
+        seen += [chip.id for chip in spool.select()]
+        spool.delete('1', ())
+    shutil.rmtree(tmp_path)
+    store(spool, [0.5])
+    seen += [chip.id for chip in spool.select()]
+    assert len(set(seen)) == len(seen) == 7
+
+
+# Order
+
+
+@given(st.lists(st.sampled_from([-1.0, 0.0, 0.25, 0.5, 1e300]), max_size=30), st.integers(4, 9))
+@settings(max_examples=20)
+def test_the_most_valuable_goes_first_then_the_oldest(values, most) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        spool = Spool(Path(folder), print, 'writer')
+        # A clock that runs back.
+        chips = [new_chip(value, stamp=(1000 - i, 0)) for i, value in enumerate(values)]
+        spool.store(spool.plan(len(chips)), chips, {})
+        order = []
+        while chips := spool.claim(most, ALL, ALL, 0)[0]:
+            assert len(chips) <= most
+            order += [(-chip.value, 1000 - chip.describe()['stamp']['sec']) for chip, _ in chips]
+        spool.close()
+    assert order == sorted(order)
+    assert sorted(number for _, number in order) == list(range(len(values)))
+
+
+def cost_of(spool, value):
+    """Bytes that a chip costs the link at most: file, facts, and 128 for id and value."""
+    (chip,) = spool.select('value = ?', [value])
+    return chip.bytes + len(chip.facts.encode()) + 128
+
+
+def test_a_chip_without_room_is_waited_for(spool) -> None:
+    spool.store(spool.plan(3), [new_chip(0.9, 300), new_chip(0.8, 5000), new_chip(0.7, 300)], {})
+    first, second = cost_of(spool, 0.9), cost_of(spool, 0.8)
+    claimed, missing = spool.claim(9, first + second - 1, ALL, 0)
+    assert ([chip.value for chip, _ in claimed], missing) == ([0.9], second)
+    assert spool.claim(9, second - 1, ALL, 0) == ([], second)
+    assert claim(spool, room=second) == [0.8]
+
+
+def test_a_chip_that_can_never_go_is_passed_over(spool) -> None:
+    spool.store(spool.plan(2), [new_chip(0.9, 5000), new_chip(0.8, 300)], {})
+    large = cost_of(spool, 0.9)
+    assert claim(spool, largest=large - 1) == [0.8]
+    assert spool.claim(9, ALL, large - 1, 0) == ([], 0)
+    assert claim(spool, largest=large) == [0.9]
+
+
+def test_the_overhead_costs_as_well(spool) -> None:
+    store(spool, [0.9])
+    cost = cost_of(spool, 0.9)
+    assert spool.claim(9, cost + 99, ALL, 100) == ([], cost + 100)
+    assert spool.claim(9, ALL, cost + 99, 100) == ([], 0)
+    assert claim(spool, room=cost + 100, largest=cost + 100, overhead=100) == [0.9]
+
+
+CHIPS = st.builds(
+    new_chip, st.floats(allow_nan=False, allow_infinity=False),
+    stamp=st.tuples(st.integers(-(2**31), 2**31 - 1), st.integers(0, 2**32 - 1)),
+    frame_id=st.text(st.characters(exclude_categories=['Cs']), max_size=30),
+)
+
+
+@given(st.lists(CHIPS, min_size=1, max_size=30))
+@settings(max_examples=10)
+def test_a_chip_costs_no_more_than_is_thought(chips) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        spool = Spool(Path(folder), print, 'writer')
+        spool.store(spool.plan(len(chips)), chips, {})
+        for stored in spool.select():
+            real = stored.bytes + len(json_bytes(stored.describe()))
+            thought = stored.bytes + len(stored.facts.encode()) + 128
+            assert real <= thought <= real + 128
+        spool.close()
+
+
+def test_what_is_put_back_goes_again_in_its_place(spool) -> None:
+    store(spool, [0.9, 0.8, 0.7])
+    ids = [chip.id for chip, _ in spool.claim(2, ALL, ALL, 0)[0]]
+    assert len(spool.ids(CLAIMED)) == 2
+    spool.unclaim(ids)
+    assert spool.ids(CLAIMED) == []
+    assert claim(spool) == [0.9, 0.8, 0.7]
+
+
+def test_revalued_chips_have_another_place(spool) -> None:
+    store(spool, [0.9, 0.8, 0.7])
+    assert spool.revalue('value < ?', [0.85], 2.0, 0.0) == 2
+    assert spool.revalue('value = ?', [0.9], 0.0, 0.1) == 1
+    assert claim(spool) == [1.6, 1.4, 0.1]
+
+
+def test_a_chip_on_its_way_is_neither_revalued_nor_deleted_nor_evicted(spool) -> None:
+    store(spool, [0.1, 0.2], size=3000)
+    ids = [chip.id for chip, _ in spool.claim(9, ALL, ALL, 0)[0]]
+    spool.released(ids[:1], delivered=False)
+    assert spool.revalue('1', (), 0.0, 5.0) == spool.delete('1', ()) == 0
+    store(spool, [0.9], max_bytes=1.0)
+    status = counts(spool)
+    assert (status.waiting, status.in_outbox, status.counts['evicted.max_bytes']) == (1, 1, 1)
+
+
+@pytest.mark.parametrize('factor', [1e308, -1e308])
+def test_a_revalued_chip_has_a_finite_value(spool, factor) -> None:
+    store(spool, [100.0])
+    spool.revalue('1', (), factor, 0.0)
+    (chip,) = spool.select()
+    assert abs(chip.value) == sys.float_info.max
+
+
+def test_deleted_chips_are_counted_as_evicted(spool) -> None:
+    store(spool, [0.9, 0.8, 0.7])
+    assert spool.delete('value < ?', [0.85]) == 2
+    assert counts(spool).counts == {'planned': 3, 'evicted.deleted': 2}
+
+
+# Size
+
+
+def test_the_least_valuable_are_evicted_the_oldest_of_equals_first(spool) -> None:
+    limit = 0.5 * MB
+    for number in range(9):
+        chips = [
+            new_chip(value, 20_000, (number, 0)) for value in (0.1, 0.5, 0.5, 0.9)
+        ]
+        spool.store(spool.plan(4), chips, {}, limit)
+        status = counts(spool)
+        assert status.file_bytes <= 1.1 * limit
+    kept = Counter(
+        (chip.value, chip.describe()['stamp']['sec']) for chip in spool.select()
+    )
+    assert status.counts['evicted.max_bytes'] == 36 - kept.total() > 9
+    assert all(kept[0.9, number] == 1 for number in range(9))
+    assert not any(kept[0.1, number] for number in range(9))
+    halves = [kept[0.5, number] for number in range(9)]
+    assert halves == sorted(halves)
+
+
+def test_a_chip_that_is_not_worth_its_place_is_evicted_at_once(spool) -> None:
+    store(spool, [0.5] * 10, 20_000, 0.2 * MB)
+    store(spool, [0.1], 20_000, 0.2 * MB)
+    assert min(chip.value for chip in spool.select()) == 0.5
+
+
+def test_a_limit_that_is_lowered_is_reached_on_the_disk(spool) -> None:
+    for _ in range(5):
+        store(spool, [0.5] * 10, 20_000)
+    assert counts(spool).file_bytes > MB
+    for _ in range(3):
+        store(spool, [0.5], 20_000, 0.3 * MB)
+    assert counts(spool).file_bytes <= 1.1 * 0.3 * MB
+
+
+def test_a_raised_limit_keeps_more(spool) -> None:
+    store(spool, [0.5] * 10, 20_000, 0.1 * MB)
+    few = counts(spool).waiting
+    store(spool, [0.5] * 10, 20_000, 10 * MB)
+    assert counts(spool).waiting == few + 10
+
+
+def test_nothing_is_evicted_without_a_limit(spool) -> None:
+    store(spool, [0.5] * 30, 50_000)
+    assert counts(spool).waiting == 30
+
+
+# Several processes
+
+
+def test_two_writers_and_a_releaser_share_one(tmp_path, troubles) -> None:
+    roles = ('writer', 'writer', 'releaser', '')
+    first, second, third, fourth = (Spool(tmp_path, troubles.append, role) for role in roles)
+    frames = first.plan(1), second.plan(1)
+    first.store(frames[0], [new_chip(0.1)], {})
+    second.store(frames[1], [new_chip(0.2)], {})
+    assert claim(third) == [0.2, 0.1]
+    assert counts(fourth).counts == {'planned': 2}
+    for each in (first, second, third, fourth):
+        each.close()
+    assert troubles == []
+
+
+def test_a_second_releaser_is_refused_until_the_first_is_gone(tmp_path, troubles) -> None:
+    first, second = (Spool(tmp_path, troubles.append, 'releaser') for _ in range(2))
+    store(first, [0.5])
+    with pytest.raises(SpoolError, match='another process releases'):
+        second.claim(1, ALL, ALL, 0)
+    first.close()
+    assert claim(second) == [0.5]
+    second.close()
+
+
+def test_frames_of_a_writer_that_was_closed_were_interrupted(tmp_path, troubles) -> None:
+    first, second = (Spool(tmp_path, troubles.append, 'writer') for _ in range(2))
+    first.plan(3)
+    second.plan(5)
+    first.close()
+    third = Spool(tmp_path, troubles.append, 'writer')
+    third.plan(7)
+    status = counts(third)
+    assert (status.in_work, status.counts['refused.interrupted']) == (12, 3)
+    second.close()
+    third.close()
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from obbhbb_ros.downlink.spool import Spool
+Spool(Path(sys.argv[1]), print, 'writer').plan(int(sys.argv[2]))
+print('planned', flush=True)
+sys.stdin.read()
+"""
+
+
+def test_frames_of_a_writer_that_was_killed_were_interrupted(tmp_path, troubles) -> None:
+    writers = [
+        subprocess.Popen([sys.executable, '-c', WRITER, str(tmp_path), count], text=True,
+                         stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        for count in '34'
+    ]
+    killed, alive = writers
+    with killed, alive:
+        assert [each.stdout.readline() for each in writers] == ['planned\n'] * 2
+        os.kill(killed.pid, signal.SIGKILL)
+        killed.wait()
+        books = Spool(tmp_path, troubles.append)
+        assert counts(books).in_work == 7
+        third = Spool(tmp_path, troubles.append, 'writer')
+        third.plan(1)
+        status = counts(books)
+        assert (status.in_work, status.counts['refused.interrupted']) == (5, 3)
+        # Its frame is still in work.
+        alive.stdin.close()
+    fourth = Spool(tmp_path, troubles.append, 'writer')
+    fourth.plan(1)
+    assert counts(books).counts['refused.interrupted'] == 7
+    for each in (books, third, fourth):
+        each.close()
+
+
+def test_a_frame_that_outlives_the_connection_is_counted_once(spool) -> None:
+    frame = spool.plan(2)
+    spool.close()
+    spool.plan(0)
+    assert counts(spool).counts['refused.interrupted'] == 2
+    assert spool.store(frame, [new_chip(0.5)], {'encoder_failed': 1})
+    status = counts(spool)
+    assert (status.counts['planned'], status.counts['refused.interrupted']) == (2, 0)
+
+
+# What cannot be written down
+
+
+class Blocked:
+    """A folder in which no spool can be, until it is unblocked."""
+
+    def __init__(self, path):
+        self.path = path
+        path.write_text('')
+
+    def unblock(self):
+        self.path.unlink()
+
+
+def test_what_cannot_be_written_down_is_counted_later(tmp_path, troubles) -> None:
+    blocked = Blocked(tmp_path / 'spool')
+    spool = Spool(tmp_path / 'spool', troubles.append, 'writer')
+    for _ in range(3):
+        assert not store(spool, [0.5, 0.6])
+    frame = spool.plan(4)
+    assert not spool.store(frame, [new_chip()], {'encoder_failed': 3})
+    with pytest.raises(SpoolError):
+        spool.status()
+    assert len(troubles) == 8
+    assert all(str(tmp_path / 'spool') in each for each in troubles)
+    blocked.unblock()
+    store(spool, [0.7])
+    assert counts(spool).counts == {
+        'planned': 11, 'refused.spool_failed': 7, 'refused.encoder_failed': 3
+    }
+    assert claim(spool) == [0.7]
+    spool.close()
+
+
+def test_a_failure_that_lasts_takes_no_memory(tmp_path, troubles) -> None:
+    Blocked(tmp_path / 'spool')
+    spool = Spool(tmp_path / 'spool', troubles.append, 'writer')
+    for _ in range(100):
+        store(spool, [0.5])
+    assert len(spool._arrears) == 1
+
+
+# Damage
+
+
+def chips_of(folder):
+    """Make a spool with 40 chips, 30 of them waiting, 5 claimed, 5 in the outbox."""
+    spool = Spool(folder, print, 'writer')
+    for number in range(4):
+        store(spool, [number + 0.1 * i for i in range(10)], 3000)
+    ids = [chip.id for chip, _ in spool.claim(10, ALL, ALL, 0)[0]]
+    spool.released(ids[5:], delivered=False)
+    spool.close()
+    (path,) = files(folder)
+    return path
+
+
+def overwrite(start, count, content=b'\xa5'):
+    def damage(path):
+        size = path.stat().st_size
+        at = int(start * size)
+        with path.open('r+b') as stream:
+            stream.seek(at)
+            stream.write(content * (count or size - at))
+    return damage
+
+
+def another_version(path):
+    with sqlite3.connect(path) as database:
+        database.execute('PRAGMA user_version = 99')
+    database.close()
+
+
+DAMAGES = {
+    'garbage': overwrite(0.0, 0),
+    'header zeroed': overwrite(0.0, 100, b'\0'),
+    'first page zeroed': overwrite(0.0, 8192, b'\0'),
+    'truncated': lambda path: os.truncate(path, path.stat().st_size // 2),
+    'all but the first page': overwrite(8192 / 172032, 0),
+    'another version': another_version,
+}
+
+
+@pytest.mark.parametrize('damage', DAMAGES.values(), ids=DAMAGES.keys())
+@pytest.mark.parametrize('is_open', [False, True], ids=['closed', 'open'])
+def test_a_damaged_catalogue_is_set_aside(tmp_path, troubles, damage, is_open) -> None:
+    path = chips_of(tmp_path)
+    spool = Spool(tmp_path, troubles.append, 'writer')
+    frame = spool.plan(1) if is_open else None
+    damage(path)
+    for _ in range(20):
+        assert store(spool, [0.5, 0.6], 3000)
+        spool.select()
+    if frame is not None:
+        spool.close()
+        spool.plan(1)
+        assert spool.store(frame, [new_chip()], {})
+    status = counts(spool)
+    # An open one writes its first page again, from memory.
+    assert is_open or status.set_aside == 1
+    assert len(files(tmp_path)) == 1 + status.set_aside
+    assert path.with_name(path.name + DAMAGED).exists() == status.set_aside
+    assert sum(f'{path} is damaged and set aside' in each for each in troubles) == (
+        len(troubles)) == status.set_aside
+    assert sorted(chip.value for chip in spool.select('value in (0.5, 0.6)'))[:1] == [0.5]
+    spool.close()
+
+
+def test_an_empty_catalogue_is_a_new_one(tmp_path, troubles) -> None:
+    path = chips_of(tmp_path)
+    os.truncate(path, 0)
+    spool = Spool(tmp_path, troubles.append, 'writer')
+    assert store(spool, [0.5])
+    assert counts(spool).counts == {'planned': 1}
+    spool.close()
+
+
+def test_a_folder_in_place_of_the_catalogue_is_passed_over(tmp_path, troubles) -> None:
+    path = chips_of(tmp_path)
+    path.unlink()
+    path.mkdir()
+    spool = Spool(tmp_path, troubles.append, 'writer')
+    assert store(spool, [0.5])
+    assert counts(spool).waiting == 1
+    assert path.is_dir()
+    spool.close()
+
+
+@pytest.mark.parametrize('name', ['chips_old.sqlite3', 'chips_0009_a1b2c3.sqlite3.bak', 'chips_9'])
+def test_a_file_of_another_name_is_no_catalogue(tmp_path, troubles, name) -> None:
+    shutil.copy(chips_of(tmp_path), tmp_path / name)
+    spool = Spool(tmp_path, troubles.append, 'writer')
+    assert store(spool, [0.5])
+    assert (counts(spool).waiting, len(files(tmp_path))) == (36, 1)
+    spool.close()
+
+
+def test_the_newest_catalogue_is_used_however_many_there_were(tmp_path, troubles) -> None:
+    path = chips_of(tmp_path)
+    for number in (9_999, 10_000):
+        shutil.copy(path, tmp_path / f'chips_{number}_a1b2c3.sqlite3')
+    spool = Spool(tmp_path, troubles.append, 'writer')
+    store(spool, [0.75])
+    (chip,) = spool.select('value = 0.75')
+    assert chip.id.split('_')[2] == 'a1b2c3'
+    assert files(tmp_path)[-1].name == 'chips_10000_a1b2c3.sqlite3'
+    spool.close()
+
+
+@pytest.mark.parametrize('suffix', ['-wal', '-shm'])
+def test_what_was_lost_with_a_log_is_lost_as_a_whole(tmp_path, troubles, suffix) -> None:
+    """A log that is deleted while nobody has it open takes its transactions with it."""
+    killed = subprocess.run(
+        [sys.executable, '-c', WRITER + 'import os; os.kill(os.getpid(), 9)', str(tmp_path), '3'],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, check=False,
+    )
+    assert killed.returncode == -signal.SIGKILL
+    (path,) = files(tmp_path)
+    Path(f'{path}{suffix}').unlink()
+    spool = Spool(tmp_path, troubles.append, 'writer')
+    assert store(spool, [0.5])
+    assert counts(spool).waiting == 1
+    spool.close()
+
+
+@pytest.mark.parametrize('what', ['folder', 'catalogue', 'log', 'all files'])
+def test_a_spool_deleted_under_an_open_one_begins_anew(tmp_path, troubles, what) -> None:
+    folder = tmp_path / 'spool'
+    writer, releaser = (Spool(folder, troubles.append, role) for role in ('writer', 'releaser'))
+    store(writer, [0.5, 0.6])
+    claim(releaser, most=1)
+    frame = writer.plan(2)
+    (path,) = files(folder)
+    if what == 'folder':
+        shutil.rmtree(folder)
+    for each in folder.glob({'all files': '*', 'log': '*-wal'}.get(what, path.name)):
+        each.unlink()
+    assert writer.store(frame, [new_chip(0.7), new_chip(0.8)], {})
+    assert counts(writer).counts['planned'] >= 2
+    assert claim(releaser)[:2] == [0.8, 0.7]
+    gone = [each for each in troubles if str(path) in each and 'deleted' in each]
+    assert len(gone) == (0 if what == 'log' else 2)
+    writer.close()
+    releaser.close()
+    again = Spool(folder, troubles.append, 'writer')
+    assert counts(again).waiting >= (0 if what == 'log' else 2)
+    again.close()
+
+
+def test_chips_of_a_lost_catalogue_are_none_of_the_new_one(tmp_path, troubles) -> None:
+    """Both have a chip number 1."""
+    spool = Spool(tmp_path / 'spool', troubles.append, 'writer')
+    store(spool, [0.5])
+    ids = [chip.id for chip, _ in spool.claim(1, ALL, ALL, 0)[0]]
+    shutil.rmtree(tmp_path / 'spool')
+    store(spool, [0.7])
+    claimed = [chip.id for chip, _ in spool.claim(1, ALL, ALL, 0)[0]]
+    spool.released(ids, delivered=True)
+    spool.unclaim(ids)
+    spool.set_aside(ids[0])
+    assert spool.ids(CLAIMED) == claimed
+    assert counts(spool).counts == {'planned': 1}
+    spool.close()
+
+
+def test_the_intact_chips_of_a_damaged_catalogue_can_be_read(tmp_path) -> None:
+    path = chips_of(tmp_path)
+    whole = {chip.id: data for chip, data in intact_chips(path)}
+    assert len(whole) == 35
+    # A few pages in the middle.
+    overwrite(0.5, 3 * 8192)(path)
+    found = {chip.id: data for chip, data in intact_chips(path)}
+    assert 20 <= len(found) < 35
+    assert found.items() <= whole.items()
+    ends = sorted(int(each.rpartition('_')[2]) for each in found)
+    assert ends[0] < 5
+    assert ends[-1] > 25
+
+
+@pytest.mark.parametrize('damage', ["data = x'00'", "facts = '{'", "facts = x'ff'",
+                                    "facts = '[]'", "data = 'text'",
+                                    "facts = replace(facts, 'jpeg', 'bmp0')"])
+def test_a_damaged_chip_is_left_out_of_the_intact_ones(tmp_path, damage) -> None:
+    path = chips_of(tmp_path)
+    with database(tmp_path) as rows:
+        rows.execute(f'UPDATE chips SET {damage} WHERE seq = 3')
+    found = [chip.seq for chip, _ in intact_chips(path)]
+    assert len(found) == len(set(found)) == 34
+    assert 3 not in found
+
+
+# Anything, in any order
+
+
+class AnyOrder(RuleBasedStateMachine):
+    """Two writers, a releaser, an operator."""
+
+    def __init__(self):
+        super().__init__()
+        self.folder = Path(tempfile.mkdtemp(prefix='spool'))
+        self.troubles = []
+        self.writers = [self.open('writer'), self.open('writer')]
+        self.releaser = self.open('releaser')
+        self.operator = self.open('')
+        self.frames = [[], []]
+        self.planned = self.stored = 0
+        self.claimed, self.released = [], []
+        self.out = Counter()
+
+    def open(self, role):
+        return Spool(self.folder, self.troubles.append, role)
+
+    @rule(which=st.integers(0, 1), count=st.integers(0, 4))
+    def plan(self, which, count):
+        self.frames[which].append(self.writers[which].plan(count))
+        self.planned += count
+
+    @rule(which=st.integers(0, 1), values=st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4),
+          refused=st.integers(0, 4), limit=st.sampled_from([0.0, 150_000.0, 250_000.0]))
+    def store(self, which, values, refused, limit):
+        if self.frames[which]:
+            frame = self.frames[which].pop()
+            refused = min(refused, frame.chips)
+            chips = [new_chip(value, 9000) for value in values[: frame.chips - refused]]
+            assert self.writers[which].store(frame, chips, {'encoder_failed': refused}, limit)
+
+    @rule(most=st.integers(1, 5), room=st.sampled_from([ALL, 25_000.0]))
+    def claim(self, most, room):
+        chips = self.releaser.claim(most, room, ALL, 0)[0]
+        keys = [(-chip.value, chip.seq) for chip, _ in chips]
+        assert keys == sorted(keys)
+        waiting = self.operator.select('state = 0')
+        if chips and waiting:
+            assert keys[-1] < (-waiting[0].value, waiting[0].seq)
+        assert not any(chip.id in self.out for chip, _ in chips)
+        self.claimed += [chip.id for chip, _ in chips]
+
+    @rule(count=st.integers(0, 3), delivered=st.booleans())
+    def release(self, count, delivered):
+        ids, self.claimed = self.claimed[:count], self.claimed[count:]
+        self.releaser.released(ids, delivered)
+        self.out.update(ids)
+        self.released += [] if delivered else ids
+
+    @rule()
+    def put_back(self):
+        self.releaser.unclaim(self.claimed)
+        self.claimed = []
+
+    @rule()
+    def deliver(self):
+        self.releaser.delivered(self.released)
+        self.released = []
+
+    @rule(value=st.floats(-2.0, 2.0), factor=st.floats(-2.0, 2.0))
+    def revalue(self, value, factor):
+        self.operator.revalue('value < ?', [value], factor, 0.0)
+
+    @rule(value=st.floats(-2.0, 2.0))
+    def delete(self, value):
+        self.operator.delete('value < ?', [value])
+
+    @rule(which=st.integers(0, 1))
+    def restart(self, which):
+        self.writers[which].close()
+        self.writers[which] = self.open('writer')
+        self.frames[which] = []
+        # Now it takes its number, and the frames that go with it.
+        self.writers[which].plan(0)
+
+    @invariant()
+    def books_balance(self):
+        status = self.operator.status()
+        assert status.balance == 0
+        assert status.counts.get('planned', 0) == self.planned
+        assert status.in_outbox == len(self.released)
+        assert status.counts.get('delivered', 0) == len(self.out) - len(self.released)
+        assert status.counts.get('released', 0) == len(self.out)
+        assert sorted(self.operator.ids(CLAIMED)) == sorted(self.claimed)
+        assert status.waiting == len(self.operator.select('state < 2'))
+        assert status.in_work == sum(frame.chips for each in self.frames for frame in each)
+        assert max(self.out.values(), default=0) <= 1
+
+    def teardown(self):
+        for each in (*self.writers, self.releaser, self.operator):
+            each.close()
+        shutil.rmtree(self.folder)
+        assert self.troubles == []
+
+
+TestAnyOrder = AnyOrder.TestCase
+TestAnyOrder.settings = settings(max_examples=25, stateful_step_count=30, deadline=None)

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""obbhbb spool: an operator sees what is in it, and changes what goes first."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from spooled import database
+from spooled import in_outbox
+from spooled import new_chip
+from spooled import store
+from spooled import values_in_outbox
+
+from obbhbb_ros.cli import main
+from obbhbb_ros.downlink.catalogue import DAMAGED
+from obbhbb_ros.downlink.catalogue import files
+from obbhbb_ros.downlink.spool import Spool
+
+ALL = float('inf')
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Make a spool: 6 chips waiting, one of them on its way, one in the outbox, one delivered."""
+    made = tmp_path / 'spool'
+    spool = Spool(made, print, 'writer')
+    chips = [
+        new_chip(value, 1500, class_id=class_id)
+        for value, class_id in zip(
+            (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2), ['tug', 'ship'] * 4, strict=True
+        )
+    ]
+    spool.store(spool.plan(10), chips, {'outside_image': 2})
+    ids = [chip.id for chip, _ in spool.claim(3, ALL, ALL, 0)[0]]
+    spool.released(ids[:1], delivered=True)
+    spool.released(ids[1:2], delivered=False)
+    spool.close()
+    return made
+
+
+def values(folder, state=0):
+    """List the values of chips in the order of their release."""
+    spool = Spool(folder, print)
+    found = [round(chip.value, 6) for chip in spool.select('state = ?', [state])]
+    assert spool.status().balance == 0
+    spool.close()
+    return found
+
+
+def run(*arguments):
+    return main(['spool', *map(str, arguments)])
+
+
+def test_the_books_and_the_next_chips_are_shown(folder, capsys) -> None:
+    assert run(folder) == 0
+    books, table = capsys.readouterr().out.split('\n\n')
+    assert books.splitlines() == [
+        'planned    10',
+        'waiting    6 (0.0 MB)',
+        'in outbox  1',
+        'delivered  1',
+        'evicted    0',
+        'refused    2 (outside_image 2)',
+    ]
+    head, *rows = table.splitlines()
+    assert head.split() == ['id', 'class', 'value', 'kB', 'state']
+    assert [row.split()[1:4] for row in rows] == [
+        [class_id, value, '1.5'] for class_id, value in (
+            ('ship', '0.600'), ('tug', '0.500'), ('ship', '0.400'), ('tug', '0.300'),
+            ('ship', '0.200'), ('tug', '0.700'), ('ship', '0.800'),
+        )
+    ]
+    assert [row.split(maxsplit=4)[4] for row in rows] == (
+        ['waiting'] * 5 + ['being released', 'in outbox']
+    )
+
+
+@pytest.mark.parametrize(
+    ('options', 'shown'),
+    [
+        (['--limit', '2'], [0.6, 0.5]),
+        (['--limit', '0'], [0.6, 0.5, 0.4, 0.3, 0.2, 0.7, 0.8]),
+        (['--class', 'tug'], [0.5, 0.3, 0.7]),
+        (['--class', 'tug', 'ship', '--limit', '1'], [0.6]),
+        (['--min-value', '0.5'], [0.6, 0.5, 0.7, 0.8]),
+        (['--max-value', '0.3'], [0.3, 0.2]),
+        (['--min-value', '0.3', '--max-value', '0.5', '--class', 'ship'], [0.4]),
+        (['--class', "x' OR '1'='1"], []),
+    ],
+)
+def test_conditions_select_chips(folder, capsys, options, shown) -> None:
+    assert run(folder, '--json', *options) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [each['value'] for each in found['chips']] == shown
+    assert (found['waiting'], found['in_outbox'], found['in_work']) == (6, 1, 0)
+    assert found['counts']['planned'] == 10
+
+
+def test_one_chip_is_found_by_its_id(folder, capsys) -> None:
+    run(folder, '--json')
+    chip = json.loads(capsys.readouterr().out)['chips'][1]
+    run(folder, '--json', '--id', chip['id'])
+    assert json.loads(capsys.readouterr().out)['chips'] == [chip]
+    assert chip['state'] == 'waiting'
+
+
+@pytest.mark.parametrize(
+    ('options', 'message', 'waiting'),
+    [
+        (['--class', 'tug', '--to', '5'], '2 chips revalued', [5.0, 5.0, 0.6, 0.4, 0.2]),
+        (['--class', 'ship', '--by', '0.1'], '3 chips revalued', [0.5, 0.3, 0.06, 0.04, 0.02]),
+        (['--all', '--by', '2'], '5 chips revalued', [1.2, 1.0, 0.8, 0.6, 0.4]),
+        (['--min-value', '9', '--to', '1'], '0 chips revalued', [0.6, 0.5, 0.4, 0.3, 0.2]),
+    ],
+)
+def test_revalued_chips_have_another_place(folder, capsys, options, message, waiting) -> None:
+    assert run(folder, 'revalue', *options) == 0
+    assert capsys.readouterr().out == message + '\n'
+    assert values(folder) == waiting
+    assert values(folder, 1) == [0.7]
+
+
+@pytest.mark.parametrize(
+    ('options', 'waiting'),
+    [(['--class', 'tug'], [0.6, 0.4, 0.2]), (['--max-value', '0.4'], [0.6, 0.5]), (['--all'], [])],
+)
+def test_deleted_chips_are_counted(folder, capsys, options, waiting) -> None:
+    assert run(folder, 'delete', *options) == 0
+    assert capsys.readouterr().out == f'{5 - len(waiting)} chips deleted\n'
+    assert values(folder) == waiting
+    run(folder)
+    assert f'evicted    {5 - len(waiting)} (deleted {5 - len(waiting)})' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ('options', 'words'),
+    [
+        (['delete'], 'which chips'),
+        (['revalue', '--to', '1'], 'which chips'),
+        (['revalue', '--all'], 'either --to or --by'),
+        (['revalue', '--all', '--to', '1', '--by', '2'], 'either --to or --by'),
+        (['revalue', '--all', '--to', 'nan'], 'finite'),
+        (['revalue', '--all', '--by', 'inf'], 'finite'),
+    ],
+)
+def test_what_is_unclear_changes_nothing(folder, capsys, options, words) -> None:
+    assert run(folder, *options) == 1
+    error = capsys.readouterr().err
+    assert error.startswith('obbhbb: ')
+    assert words in error
+    assert values(folder) == [0.6, 0.5, 0.4, 0.3, 0.2]
+
+
+@pytest.mark.parametrize('action', ['list', 'check', 'delete', 'export'])
+def test_a_folder_without_spool_is_left_alone(tmp_path, capsys, action) -> None:
+    assert run(tmp_path, action, '--all') == 1
+    assert f'{tmp_path} is no spool' in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_sound_spool_is_in_order(folder, capsys) -> None:
+    assert run(folder, 'check') == 0
+    assert capsys.readouterr().out == f'{folder} is in order\n'
+
+
+@pytest.mark.parametrize(
+    ('damage', 'words'),
+    [
+        ("UPDATE chips SET data = x'00' WHERE seq = 5", '_5: its file is damaged'),
+        ("UPDATE chips SET facts = '{' WHERE seq = 5", '_5: its file is damaged'),
+        ("UPDATE books SET count = 11 WHERE name = 'planned'", '1 chips are unaccounted for'),
+    ],
+)
+def test_what_is_wrong_is_told(folder, capsys, damage, words) -> None:
+    with database(folder) as rows:
+        rows.execute(damage)
+    assert run(folder, 'check') == 1
+    (line,) = capsys.readouterr().out.splitlines()
+    assert words in line
+
+
+def test_exported_chips_stay_in_the_spool(folder, tmp_path, capsys) -> None:
+    out = tmp_path / 'out'
+    assert run(folder, 'export', '--class', 'tug', '-o', out) == 0
+    assert capsys.readouterr().out == '3 chips exported\n'
+    assert values_in_outbox(out) == [0.7, 0.5, 0.3]
+    assert len(values(folder)) == 5
+
+
+@pytest.mark.parametrize('state', ['whole', 'damaged', 'truncated', 'garbage'])
+def test_the_intact_chips_of_a_damaged_catalogue_are_exported(tmp_path, capsys, state) -> None:
+    spool = Spool(tmp_path / 'spool', print, 'writer')
+    store(spool, [0.01 * i for i in range(60)], 3000)
+    spool.close()
+    (path,) = files(tmp_path / 'spool')
+    path.with_name(path.name + DAMAGED).touch()
+    size = path.stat().st_size
+    if state == 'damaged':
+        with path.open('r+b') as stream:
+            stream.seek(size // 2)
+            stream.write(b'\xa5' * 8192)
+    elif state == 'truncated':
+        os.truncate(path, size * 3 // 4)
+    elif state == 'garbage':
+        path.write_bytes(b'\xa5' * size)
+    assert run(path, 'export', '-o', tmp_path / 'out') == 0
+    found = len(in_outbox(tmp_path / 'out'))
+    assert capsys.readouterr().out == f'{found} chips exported\n'
+    low, high = {
+        'whole': (60, 60), 'damaged': (40, 59), 'truncated': (20, 59), 'garbage': (0, 0)
+    }[state]
+    assert low <= found <= high
+    assert [Path(each) for each in files(tmp_path / 'spool')] == [path]
+
+
+def test_a_damaged_catalogue_is_told_of(folder, capsys) -> None:
+    (path,) = files(folder)
+    path.write_bytes(b'garbage' * 9999)
+    assert run(folder) == 0
+    output = capsys.readouterr()
+    assert '1 damaged catalogues set aside' in output.out
+    assert f'{path} is damaged and set aside' in output.err
