@@ -21,10 +21,11 @@ import numpy as np
 
 from obbhbb_ros import converter
 from obbhbb_ros import labels
+from obbhbb_ros.downlink import chips
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.spool import Spool
 from obbhbb_ros.downlink.spool import intact_chips
-from obbhbb_ros.files import replacing
+from obbhbb_ros.files import write_bytes
 from obbhbb_ros.files import write_text
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import images
@@ -99,12 +100,12 @@ def _demo(options: _Options) -> int:
     print(tables.scene_table(ships, boxes))
     drawing.save(drawing.scene_figure(ships, boxes), options.picture, dpi=100)
     print(f'\npicture: {options.picture}')
-    _demo_bag(ships, options.bag, options.picture.parent)
+    _record_demo(ships, options.bag, options.picture.parent)
     return 0
 
 
-def _demo_bag(ships: labels.ImageLabels, bag: Path | None, folder: Path) -> None:
-    """Record the nodes at work on a harbour, and save the last overlay; or say what it needs."""
+def _record_demo(ships: labels.ImageLabels, bag: Path | None, folder: Path) -> None:
+    """Record the nodes at work over a harbour, and keep what they saw; or say what that needs."""
     from obbhbb_ros.nodes import demo
 
     try:
@@ -112,13 +113,16 @@ def _demo_bag(ships: labels.ImageLabels, bag: Path | None, folder: Path) -> None
 
         frames = [(each, chip_costs.render(each)) for each in passing(ships, _DEMO_IMAGES)]
     except ImportError as error:
-        print(f'no bag and no overlay: {error}; they need the extras bags and chips')
+        print(f'no bag, no overlay: {error}; they need the extras `bags` and `chips`')
         return
     messages = demo.record_chain(frames)
-    overlay = folder / 'overlay.jpg'
-    with replacing(overlay) as partial:
-        partial.write_bytes(demo.last_overlay(messages))
-    print(f'overlay: {overlay}')
+    write_bytes(folder / 'overlay.jpg', demo.last_overlay(messages))
+    print(f'overlay: {folder / "overlay.jpg"}, the last picture of the node overlay')
+    for each, pixels in frames:
+        image = folder / 'frames' / f'{each.image}.jpg'
+        write_bytes(image, chips.encode(pixels, chips.CodecSettings('jpeg', quality=90)))
+    labels.write_labels(folder / 'frames' / 'labels.csv', [each for each, _ in frames])
+    print(f'frames:  {folder / "frames"}, {len(frames)} images and their labels')
     if bag is None:
         bag = folder / 'harbour_bag'
         shutil.rmtree(bag, ignore_errors=True)

@@ -31,6 +31,8 @@ from obbhbb_ros.wire.layouts import InputType
 OUTPUT_TYPE = 'vision_msgs/msg/Detection2DArray'
 OUTPUT_HASH = 'RIHS01_214274120007f4a683866481336b70310268cfa107aebe9d594a6acf75bda968'
 OUTPUTS = ('boxes', 'crop_regions')
+# Topics of the nodes that hold no oriented boxes of images.
+_MADE = tuple(f'/{name}' for name in (*OUTPUTS, 'crop_sources', 'chip/detections'))
 CAMERA_INFO_TYPE = 'sensor_msgs/msg/CameraInfo'
 # The version of bags that Jazzy writes.
 VERSION = 9
@@ -102,7 +104,7 @@ def choose(
         topic = _absolute(topic)
         candidates = [topic] if topic in possible else []
     else:
-        candidates = [name for name in possible if name.rpartition('/')[2] not in OUTPUTS]
+        candidates = [name for name in possible if not name.endswith(_MADE)]
     if len(candidates) != 1:
         raise ValueError(_choice(connections, topic, candidates))
     detections = candidates[0]

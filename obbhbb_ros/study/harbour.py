@@ -30,7 +30,7 @@ _BERTHS = 5
 _ANCHORED = 22
 _GAP = 6.0
 # Of the ships from image to image, pixels.
-_DRIFT = (-10.0, 4.0)
+_DRIFT = (-6.0, 4.0)
 
 
 @dataclass(frozen=True)
@@ -110,6 +110,7 @@ def passing(labels: ImageLabels, count: int) -> Iterator[ImageLabels]:
         shift = np.array(_DRIFT) * i
         yield replace(
             labels,
+            image=f'{labels.image}_{i}',
             corners=labels.corners + shift,
             reference=None if labels.reference is None else labels.reference + np.tile(shift, 2),
             hulls=tuple(None if hull is None else hull + shift for hull in labels.hulls),
