@@ -8,6 +8,7 @@ import gc
 import json
 import math
 import shlex
+import shutil
 import sys
 from collections.abc import Callable
 from collections.abc import Mapping
@@ -20,9 +21,11 @@ import numpy as np
 
 from obbhbb_ros import converter
 from obbhbb_ros import labels
+from obbhbb_ros.downlink import chips
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.spool import Spool
 from obbhbb_ros.downlink.spool import intact_chips
+from obbhbb_ros.files import write_bytes
 from obbhbb_ros.files import write_text
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import images
@@ -38,6 +41,7 @@ from obbhbb_ros.study import spools
 from obbhbb_ros.study import tables
 from obbhbb_ros.study.grid_search import GRIDS
 from obbhbb_ros.study.harbour import harbour
+from obbhbb_ros.study.harbour import passing
 from obbhbb_ros.study.hulls import synthetic_ships
 from obbhbb_ros.study.metrics import PROTOCOLS
 from obbhbb_ros.study.parameter_file import yaml_text
@@ -52,6 +56,7 @@ PARAMETERS = {
     'f': f'fullness, above 0, up to {converter.F_RANGE[1]:g}',
     's': f'shrink factor, above 0, up to {converter.S_RANGE[1]:g}',
 }
+_DEMO_IMAGES = 8
 _Options: TypeAlias = argparse.Namespace
 # The method `add_argument` of a parser.
 _Add: TypeAlias = Callable[..., Any]
@@ -77,20 +82,52 @@ def run(arguments: Sequence[str]) -> int:
 
 def _demo_options(add: _Add) -> None:
     add('--picture', type=Path, default=Path('out/harbour.png'), help='default: %(default)s')
+    add('--bag', type=Path,
+        help='bag (rosbag2, MCAP) to write; default: harbour_bag beside the picture, where it is '
+        'replaced')
 
 
 def _demo(options: _Options) -> int:
-    """Convert a synthetic harbour with the real node; print a table and draw a picture."""
+    """Send a synthetic harbour through the real nodes; print a table, draw it, record a bag."""
     from obbhbb_ros.nodes.demo import boxes_by_method
     from obbhbb_ros.study import drawing
 
+    if options.bag and options.bag.exists():
+        raise ValueError(f'{options.bag} exists already')
     ships = harbour()
     boxes = boxes_by_method(ships)
     print(f'{len(ships.class_ids)} ships of a synthetic harbour, converted by the node over DDS\n')
     print(tables.scene_table(ships, boxes))
     drawing.save(drawing.scene_figure(ships, boxes), options.picture, dpi=100)
     print(f'\npicture: {options.picture}')
+    _record_demo(ships, options.bag, options.picture.parent)
     return 0
+
+
+def _record_demo(ships: labels.ImageLabels, bag: Path | None, folder: Path) -> None:
+    """Record the nodes at work over a harbour, and keep what they saw; or say what that needs."""
+    from obbhbb_ros.nodes import demo
+
+    try:
+        from obbhbb_ros.bags.recording import write_bag
+
+        frames = [(each, chip_costs.render(each)) for each in passing(ships, _DEMO_IMAGES)]
+    except ImportError as error:
+        print(f'no bag, no overlay: {error}; they need the extras `bags` and `chips`')
+        return
+    messages = demo.record_chain(frames)
+    write_bytes(folder / 'overlay.jpg', demo.last_overlay(messages))
+    print(f'overlay: {folder / "overlay.jpg"}, the last picture of the node overlay')
+    for each, pixels in frames:
+        image = folder / 'frames' / f'{each.image}.jpg'
+        write_bytes(image, chips.encode(pixels, chips.CodecSettings('jpeg', quality=90)))
+    labels.write_labels(folder / 'frames' / 'labels.csv', [each for each, _ in frames])
+    print(f'frames:  {folder / "frames"}, {len(frames)} images and their labels')
+    if bag is None:
+        bag = folder / 'harbour_bag'
+        shutil.rmtree(bag, ignore_errors=True)
+    write_bag(bag, demo.RECORDED_TOPICS, messages)
+    print(f'bag:     {bag}, {len(messages)} messages on {len(demo.RECORDED_TOPICS)} topics')
 
 
 def _convert_options(add: _Add) -> None:

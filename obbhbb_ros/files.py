@@ -103,6 +103,12 @@ def write_text(path: Path, text: str) -> None:
     write_pieces(path, (text,))
 
 
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file with `replacing`."""
+    with replacing(path) as partial:
+        partial.write_bytes(data)
+
+
 def write_pieces(path: Path, pieces: Iterable[str]) -> None:
     """Write a text as UTF-8 with `replacing`, piece by piece to save memory."""
     with replacing(path) as partial, partial.open('w', encoding='utf-8', newline='') as stream:

@@ -31,6 +31,8 @@ from obbhbb_ros.wire.layouts import InputType
 OUTPUT_TYPE = 'vision_msgs/msg/Detection2DArray'
 OUTPUT_HASH = 'RIHS01_214274120007f4a683866481336b70310268cfa107aebe9d594a6acf75bda968'
 OUTPUTS = ('boxes', 'crop_regions')
+# Topics of the nodes that hold no oriented boxes of images.
+_MADE = tuple(f'/{name}' for name in (*OUTPUTS, 'crop_sources', 'chip/detections'))
 CAMERA_INFO_TYPE = 'sensor_msgs/msg/CameraInfo'
 # The version of bags that Jazzy writes.
 VERSION = 9
@@ -102,7 +104,7 @@ def choose(
         topic = _absolute(topic)
         candidates = [topic] if topic in possible else []
     else:
-        candidates = [name for name in possible if name.rpartition('/')[2] not in OUTPUTS]
+        candidates = [name for name in possible if not name.endswith(_MADE)]
     if len(candidates) != 1:
         raise ValueError(_choice(connections, topic, candidates))
     detections = candidates[0]
@@ -174,14 +176,24 @@ def add_topics(writer: Writer, connections: Iterable[Connection]) -> dict[int, C
 def add_output(writer: Writer, topic: str, connections: Collection[Connection]) -> Connection:
     """Add a topic of boxes; a definition of their type that the bag has already is kept."""
     known = [each for each in connections if each.msgtype == OUTPUT_TYPE and each.msgdef.data]
-    if known:
-        definition, digest = _definition(known[0])
-    else:
+    if not known:
+        return add_live_topic(writer, topic, OUTPUT_TYPE)
+    definition, digest = _definition(known[0])
+    return writer.add_connection(
+        topic, OUTPUT_TYPE, msgdef=definition, rihs01=digest, offered_qos_profiles=[_QOS]
+    )
+
+
+def add_live_topic(writer: Writer, topic: str, msgtype: str) -> Connection:
+    """Add a topic as if it had been recorded from a node; messages of Jazzy, and of boxes."""
+    definition, digest = None, None
+    if msgtype == OUTPUT_TYPE:
         folder = Path(obbhbb_ros.__file__).parent / 'data'
         definition = (folder / 'Detection2DArray.msg').read_text(encoding='utf-8')
         digest = OUTPUT_HASH
     return writer.add_connection(
-        topic, OUTPUT_TYPE, msgdef=definition, rihs01=digest, offered_qos_profiles=[_QOS]
+        topic, msgtype, typestore=get_typestore(Stores.ROS2_JAZZY),
+        msgdef=definition, rihs01=digest, offered_qos_profiles=[_QOS],
     )
 
 

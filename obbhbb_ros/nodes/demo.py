@@ -1,28 +1,96 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node in a process of its own, asked over DDS, for `obbhbb demo`."""
+"""The nodes in processes of their own, asked over DDS, for `obbhbb demo`."""
 
 from __future__ import annotations
 
 import os
 import signal
+import struct
 import subprocess
 import sys
 import time
+from collections import Counter
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
 from dataclasses import replace
+from functools import partial
+from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import rclpy
+from numpy.typing import NDArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CompressedImage
+from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
+from visualization_msgs.msg import ImageMarker
 
 from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.methods import ONBOARD_METHODS
 from obbhbb_ros.nodes.play_detections import detections_message
+from obbhbb_ros.nodes.play_detections import image_message
+from obbhbb_ros.wire.detections import Detections
+
+OVERLAY_TOPIC = '/overlay/compressed'
 
 _TIMEOUT = 20.0
+_AGAIN = 0.5
+_PERIOD = 0.25
+# Pixels; without a focal length, viewers take no camera info.
+_FOCAL_LENGTH = 2000.0
+# Behind the encapsulation header, a message begins with its own header.
+_STAMP_AT = 4
+
+_SENT = {'/camera_info': CameraInfo, '/image': Image, '/detections': Detection2DArray}
+_PER_FRAME = {
+    # The first image is what viewers show without being asked.
+    OVERLAY_TOPIC: CompressedImage,
+    **_SENT,
+    '/boxes': Detection2DArray,
+    '/crop_regions': Detection2DArray,
+    **{f'/overlay/markers/{layer}': ImageMarker for layer in LAYER_COLORS},
+}
+_PER_LAYER = {'/overlay/markers': ImageMarker}
+_PER_CHIP = {
+    '/chip/compressed': CompressedImage,
+    '/chip/camera_info': CameraInfo,
+    '/chip/detections': Detection2DArray,
+}
+_TYPES = {**_PER_FRAME, **_PER_LAYER, **_PER_CHIP}
+RECORDED_TOPICS = {
+    topic: f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
+    for topic, kind in _TYPES.items()
+}
+"""Message type by topic of what `record_chain` records."""
+
+
+class Recorded(NamedTuple):
+    """
+    A message as it came over DDS.
+
+    Attributes
+    ----------
+    topic : str
+        Its topic, without the namespace of the nodes.
+    time : int
+        When it came, nanoseconds since 1970.
+    data : bytes
+        The serialized message with its encapsulation header.
+    """
+
+    topic: str
+    time: int
+    data: bytes
 
 
 def boxes_by_method(labels: ImageLabels) -> dict[str, FloatArray]:
@@ -51,8 +119,14 @@ def boxes_by_method(labels: ImageLabels) -> dict[str, FloatArray]:
         arguments += ['-p', f'classes.{method}.method:={method}']
         ships = replace(labels, class_ids=(method,) * len(labels.class_ids))
         message.detections += detections_message(ships, message.header).detections
-    boxes = xyxy_of(_converted(message, arguments))
-    return dict(zip(ONBOARD_METHODS, np.split(boxes, len(ONBOARD_METHODS)), strict=True))
+    answers: list[Detection2DArray] = []
+    with _Chain({'obb_to_hbb': arguments}) as chain:
+        chain.node.create_subscription(Detection2DArray, 'boxes', answers.append, 10)
+        publisher = chain.node.create_publisher(Detection2DArray, 'detections', 10)
+        # Again and again: client and node find each other's topics one after the other.
+        chain.repeat_until(partial(publisher.publish, message), lambda: bool(answers), 'boxes')
+    boxes = np.split(xyxy_of(answers[0]), len(ONBOARD_METHODS))
+    return dict(zip(ONBOARD_METHODS, boxes, strict=True))
 
 
 def xyxy_of(message: Detection2DArray) -> FloatArray:
@@ -64,33 +138,196 @@ def xyxy_of(message: Detection2DArray) -> FloatArray:
     return np.hstack((rows[:, :2] - rows[:, 2:] / 2.0, rows[:, :2] + rows[:, 2:] / 2.0))
 
 
-def _converted(message: Detection2DArray, arguments: list[str]) -> Detection2DArray:
-    """Start `obb_to_hbb` with parameters, send it a message and wait for the boxes."""
-    namespace = f'/obbhbb_{os.getpid()}'
-    process = subprocess.Popen([
-        sys.executable, '-m', 'obbhbb_ros.nodes', 'obb_to_hbb',
-        '--ros-args', '-r', f'__ns:={namespace}', *arguments,
-    ])
-    answers: list[Detection2DArray] = []
-    context = Context()
-    try:
-        rclpy.init(context=context)
-        client = rclpy.create_node('client', namespace=namespace, context=context)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(client)
-        client.create_subscription(Detection2DArray, 'boxes', answers.append, 10)
-        publisher = client.create_publisher(Detection2DArray, 'detections', 10)
-        deadline = time.monotonic() + _TIMEOUT
-        while not answers:
-            if process.poll() is not None or time.monotonic() > deadline:
-                raise TimeoutError('the node sends no boxes')
-            # Again and again: client and node find each other's topics one after the other.
-            publisher.publish(message)
-            executor.spin_once(timeout_sec=0.2)
-        executor.shutdown()
-        client.destroy_node()
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.wait(_TIMEOUT)
-        rclpy.try_shutdown(context=context)
-    return answers[0]
+def record_chain(frames: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> list[Recorded]:
+    """
+    Send images and their detections through all nodes that make something of them.
+
+    Parameters
+    ----------
+    frames : sequence of (ImageLabels, ndarray of uint8 of shape (H, W, 3))
+        Labels and pixels of each image.
+
+    Returns
+    -------
+    list of Recorded
+        What was sent, and what `obb_to_hbb`, `chip_extractor` and `overlay` made of it, in the
+        order in which it came. Every frame is complete.
+
+    Raises
+    ------
+    TimeoutError
+        If the nodes do not answer in time.
+    """
+    # However long it takes: a picture that does not wait misses layers on a busy machine.
+    nodes = {'obb_to_hbb': [], 'chip_extractor': [], 'overlay': ['-p', 'max_wait:=60.0']}
+    with _Chain(nodes) as chain:
+        camera = _Camera(chain.node)
+        # Each node finds the topics of the others in its own time.
+        chain.repeat_until(partial(camera.send, *frames[0]), camera.has_any, 'complete frame')
+        camera.frames.clear()
+        for labels, pixels in frames:
+            due = time.monotonic() + _PERIOD
+            camera.send(labels, pixels)
+            chain.spin_until(camera.has_last, 'complete frame')
+            chain.spin_for(due - time.monotonic())
+    return sorted(
+        (each for frame in camera.frames for each in frame.messages), key=lambda each: each.time
+    )
+
+
+def last_overlay(messages: Sequence[Recorded]) -> bytes:
+    """Give the last picture with boxes, a JPEG file."""
+    *_, last = (each for each in messages if each.topic == OVERLAY_TOPIC)
+    return bytes(deserialize_message(last.data, CompressedImage).data)
+
+
+@dataclass
+class _Frame:
+    """Everything of one image, by its stamp."""
+
+    stamp: int
+    messages: list[Recorded] = field(default_factory=list)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every message has come, once."""
+        plans = (each.data for each in self.messages if each.topic == '/crop_regions')
+        chips = sum(len(Detections(data)) for data in plans)
+        expected = {
+            **dict.fromkeys(_PER_FRAME, 1),
+            **dict.fromkeys(_PER_LAYER, len(LAYER_COLORS)),
+            **dict.fromkeys(_PER_CHIP, chips),
+        }
+        return Counter(each.topic for each in self.messages) == Counter(expected)
+
+
+class _Camera:
+    """A camera with a detector, and what becomes of its images."""
+
+    def __init__(self, node: Any) -> None:
+        self.frames: list[_Frame] = []
+        self._node = node
+        self._publishers = {
+            topic: node.create_publisher(kind, topic.strip('/'), 100)
+            for topic, kind in _SENT.items()
+        }
+        for topic, kind in _TYPES.items():
+            node.create_subscription(
+                kind, topic.strip('/'), partial(self._receive, topic), 1000, raw=True
+            )
+
+    def send(self, labels: ImageLabels, pixels: NDArray[np.uint8]) -> None:
+        """Publish a frame, as taken now."""
+        moment = self._node.get_clock().now()
+        header = Header(stamp=moment.to_msg(), frame_id='camera')
+        height, width = pixels.shape[:2]
+        self.frames.append(_Frame(moment.nanoseconds))
+        self._publishers['/camera_info'].publish(_camera_info(header, width, height))
+        self._publishers['/image'].publish(image_message('rgb8', pixels, header))
+        self._publishers['/detections'].publish(detections_message(labels, header))
+
+    def has_any(self) -> bool:
+        """Tell whether a frame is complete."""
+        return any(frame.is_complete for frame in self.frames)
+
+    def has_last(self) -> bool:
+        """Tell whether the last frame is complete."""
+        return self.frames[-1].is_complete
+
+    def _receive(self, topic: str, data: bytes) -> None:
+        """Add a message to its frame."""
+        message = Recorded(topic, time.time_ns(), bytes(data))
+        seconds, nanoseconds = struct.unpack_from('<iI', data, _STAMP_AT)
+        stamp = seconds * 1_000_000_000 + nanoseconds
+        # The chips of an image are stamped some nanoseconds later, one each.
+        for frame in reversed(self.frames):
+            if frame.stamp <= stamp:
+                frame.messages.append(message)
+                return
+
+
+def _camera_info(header: Header, width: int, height: int) -> CameraInfo:
+    """Describe a camera without distortion; viewers refuse one without a focal length."""
+    f, x, y = _FOCAL_LENGTH, width / 2.0, height / 2.0
+    return CameraInfo(
+        header=header, width=width, height=height,
+        distortion_model='plumb_bob', d=[0.0] * 5,
+        k=[f, 0.0, x, 0.0, f, y, 0.0, 0.0, 1.0],
+        r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p=[f, 0.0, x, 0.0, 0.0, f, y, 0.0, 0.0, 0.0, 1.0, 0.0],
+    )
+
+
+class _Chain:
+    """
+    Nodes in processes of their own, and one that talks to them, as long as a `with` block lasts.
+
+    They are in a namespace that no others are in.
+
+    Parameters
+    ----------
+    nodes : mapping of str to sequence of str
+        What goes behind `--ros-args`, by executable.
+
+    Attributes
+    ----------
+    node : rclpy.node.Node
+        The node that talks to them.
+    """
+
+    def __init__(self, nodes: Mapping[str, Sequence[str]]) -> None:
+        self._namespace = f'/obbhbb_{os.getpid()}'
+        self._context = Context()
+        self._nodes = nodes
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> _Chain:
+        """Start the processes."""
+        rclpy.init(context=self._context)
+        self.node = rclpy.create_node('client', namespace=self._namespace, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        for executable, arguments in self._nodes.items():
+            self._processes[executable] = subprocess.Popen([
+                sys.executable, '-m', 'obbhbb_ros.nodes', executable,
+                # Warnings of what is missing until all have found each other are no news.
+                '--ros-args', '--log-level', 'error', '-r', f'__ns:={self._namespace}', *arguments,
+            ])
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End them."""
+        for process in self._processes.values():
+            process.send_signal(signal.SIGINT)
+        for process in self._processes.values():
+            process.wait(_TIMEOUT)
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def spin_for(self, seconds: float) -> None:
+        """Take messages for some time."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def spin_until(self, condition: Callable[[], bool], what: str) -> None:
+        """Take messages until something holds."""
+        self.repeat_until(lambda: None, condition, what)
+
+    def repeat_until(
+        self, send: Callable[[], None], condition: Callable[[], bool], what: str
+    ) -> None:
+        """Send something again and again until something holds; TimeoutError after a while."""
+        deadline, again = time.monotonic() + _TIMEOUT, 0.0
+        while not condition():
+            now = time.monotonic()
+            gone = [name for name, each in self._processes.items() if each.poll() is not None]
+            if gone:
+                raise ChildProcessError(f'{gone[0]} has ended')
+            if now > deadline:
+                raise TimeoutError(f'{", ".join(self._nodes)}: no {what} in {_TIMEOUT:g} s')
+            if now >= again:
+                send()
+                again = now + _AGAIN
+            self._executor.spin_once(timeout_sec=0.05)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,8 @@ _PIERS = ((170.0, 330.0, 0.35), (520.0, 560.0, -0.9), (820.0, 250.0, 1.25))
 _BERTHS = 5
 _ANCHORED = 22
 _GAP = 6.0
+# Of the ships from image to image, pixels.
+_DRIFT = (-6.0, 4.0)
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,19 @@ def harbour() -> ImageLabels:
         size=HARBOUR_SIZE,
         source=Path(HARBOUR),
     )
+
+
+def passing(labels: ImageLabels, count: int) -> Iterator[ImageLabels]:
+    """Label images of a camera that moves on over labelled ships, a little with each image."""
+    for i in range(count):
+        shift = np.array(_DRIFT) * i
+        yield replace(
+            labels,
+            image=f'{labels.image}_{i}',
+            corners=labels.corners + shift,
+            reference=None if labels.reference is None else labels.reference + np.tile(shift, 2),
+            hulls=tuple(None if hull is None else hull + shift for hull in labels.hulls),
+        )
 
 
 def _moor(random: np.random.Generator, x: float, y: float, heading: float) -> Iterator[Ship]:

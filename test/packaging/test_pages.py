@@ -308,9 +308,9 @@ def blocks(language: str, *left_out: str) -> pytest.MarkDecorator:
     )
 
 
-# The page of the figures needs data that the package does not have; the example for chips is run
-# with the node.
-@blocks('python', 'reproduction', 'chip_extractor')
+# The page of the figures needs data that the package does not have; the example for chips and the
+# tour are run with the nodes.
+@blocks('python', 'reproduction', 'chip_extractor', 'tour')
 def test_an_example_in_python_runs(block: str) -> None:
     exec(block, {})
 

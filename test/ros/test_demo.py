@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -26,13 +27,24 @@ def test_the_node_converts_with_every_method(site: Site) -> None:
         np.testing.assert_allclose(boxes, expected, rtol=0, atol=0.01, err_msg=method)
 
 
-def test_the_command_prints_a_table_and_draws_a_picture(
-    site: Site, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+def test_a_bag_that_is_there_is_kept(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / 'flight').mkdir()
+    assert main(['demo', '--bag', str(tmp_path / 'flight')]) == 1
+    assert 'flight exists already' in capfd.readouterr().err
+
+
+def test_without_rosbags_the_command_says_what_it_needs(
+    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip('matplotlib')
+    monkeypatch.setitem(sys.modules, 'rosbags.rosbag2', None)
+    monkeypatch.delitem(sys.modules, 'obbhbb_ros.bags.recording', raising=False)
     picture = tmp_path / 'new' / 'harbour.png'
     assert main(['demo', '--picture', str(picture)]) == 0
     printed = capfd.readouterr()
     assert all(f'\n{method} ' in printed.out for method in ONBOARD_METHODS)
+    assert 'no bag, no overlay: ' in printed.out
+    assert 'need the extras `bags` and `chips`' in printed.out
     assert printed.err == ''
     assert picture.read_bytes().startswith(b'\x89PNG')
+    assert list(picture.parent.iterdir()) == [picture]

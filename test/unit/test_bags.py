@@ -278,6 +278,16 @@ def test_of_several_inputs_one_has_to_be_named(tmp_path: Path, run: Any) -> None
     assert found == expected(given, 'DetectionArray', '/yolo/detections', size=None)[0]
 
 
+@pytest.mark.parametrize('made', ['/chip/detections', '/crop_sources'])
+def test_what_the_nodes_make_of_detections_is_no_input(
+    tmp_path: Path, run: Any, made: str
+) -> None:
+    given = [*scene(), Recorded(made, SECOND, detections('Detection2DArray', ROWS[0]))]
+    record(tmp_path / 'in', TOPICS | {made: 'Detection2DArray'}, given)
+    assert run()[0] == 0
+    assert answers(tmp_path / 'out') == expected(given)
+
+
 def test_a_bag_without_detections_is_an_error_that_lists_what_it_has(
     tmp_path: Path, run: Any
 ) -> None:
