@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import field
+from math import inf
 
 from obbhbb_ros.downlink.budget import BudgetSettings
 from obbhbb_ros.downlink.budget import TokenBucket
@@ -228,20 +229,27 @@ class Releaser:
         self._put_out.append(chip.id)
         return True
 
-    def _stall(self, missing: int, room: float) -> float:
+    def _stall(self, missing: float, room: float) -> float:
         """Say why nothing is released; return how long to wait."""
         if not missing:
             self.stalled_by = 'nothing waits'
             return IDLE
+        if missing == inf:
+            self._report_stall('all chips that wait are larger than budget.burst')
+            # To find that out, all of them have to be looked at.
+            return _RETRY
         if missing > room:
-            text = f'outbox is full, outbox.max_bytes is {self.settings.max_bytes:.0f}'
-            if self.stalled_by != text:
-                self._on_trouble(text)
-            self.stalled_by = text
+            self._report_stall(f'outbox is full, outbox.max_bytes is {self.settings.max_bytes:.0f}')
             return IDLE
         self.stalled_by = 'link budget'
         # Not longer: the budget may change.
         return min(IDLE, (missing - self.available) / self._budget.bytes_per_second)
+
+    def _report_stall(self, text: str) -> None:
+        """Say, once, what an operator has to change before anything is released."""
+        if self.stalled_by != text:
+            self._on_trouble(text)
+        self.stalled_by = text
 
     def _room_for_link(self) -> BudgetSettings:
         """Bring budget and available bytes up to date."""

@@ -282,7 +282,7 @@ class Spool:
 
     def claim(
         self, most: int, room: float, largest: float, overhead: int
-    ) -> tuple[list[tuple[StoredChip, bytes]], int]:
+    ) -> tuple[list[tuple[StoredChip, bytes]], float]:
         """
         Take the next chips, which nobody evicts from then on.
 
@@ -299,11 +299,12 @@ class Spool:
         -------
         list of (StoredChip, bytes)
             Chips and their files, the most valuable first, the oldest of equals first.
-        int
-            Bytes of the first one that has no room; 0 if none waits.
+        float
+            Bytes of the first one that has no room; infinite if all that wait are larger than one
+            may be, 0 if none waits.
         """
-        def work(rows: sqlite3.Cursor) -> tuple[list[tuple[StoredChip, bytes]], int]:
-            left, claimed, missing = room, [], 0
+        def work(rows: sqlite3.Cursor) -> tuple[list[tuple[StoredChip, bytes]], float]:
+            left, claimed, missing = room, [], 0.0
             for cost, *fields in rows.execute(
                 f'SELECT {_COST} + ?, {_COLUMNS} FROM chips WHERE state = ? AND {_COST} + ? <= ? '
                 'ORDER BY value DESC, seq LIMIT ?', (overhead, WAITING, overhead, largest, most)
@@ -321,6 +322,11 @@ class Spool:
                 'UPDATE chips SET state = ? WHERE seq = ?',
                 [(CLAIMED, chip.seq) for chip, _ in claimed],
             )
+            if not claimed and not missing:
+                (waiting,) = rows.execute(
+                    'SELECT chips FROM totals WHERE state = ?', (WAITING,)
+                ).fetchone()
+                missing = math.inf if waiting else 0.0
             return claimed, missing
 
         return self._write(work)

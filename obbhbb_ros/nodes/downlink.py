@@ -185,10 +185,6 @@ class Downlink(ManagedNode[DownlinkSettings]):
         except SpoolError as error:
             self._warn_of_spool(str(error))
             return facts
-        if status.waiting and releaser.contact and releaser.stalled_by == 'nothing waits':
-            self._warn(
-                'too large', f'{status.waiting} chips are larger than budget.burst and stay'
-            )
         return {**facts, **facts_of(status)}
 
     def _warn_of_spool(self, text: str) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The spool: whatever is done to it, every chip that is planned is accounted for."""
 
+import math
 import os
 import shutil
 import signal
@@ -202,15 +203,16 @@ def test_a_chip_that_can_never_go_is_passed_over(spool) -> None:
     spool.store(spool.plan(2), [new_chip(0.9, 5000), new_chip(0.8, 300)], {})
     large = cost_of(spool, 0.9)
     assert claim(spool, largest=large - 1) == [0.8]
-    assert spool.claim(9, ALL, large - 1, 0) == ([], 0)
+    assert spool.claim(9, ALL, large - 1, 0) == ([], math.inf)
     assert claim(spool, largest=large) == [0.9]
+    assert spool.claim(9, ALL, large, 0) == ([], 0)
 
 
 def test_the_overhead_costs_as_well(spool) -> None:
     store(spool, [0.9])
     cost = cost_of(spool, 0.9)
     assert spool.claim(9, cost + 99, ALL, 100) == ([], cost + 100)
-    assert spool.claim(9, ALL, cost + 99, 100) == ([], 0)
+    assert spool.claim(9, ALL, cost + 99, 100) == ([], math.inf)
     assert claim(spool, room=cost + 100, largest=cost + 100, overhead=100) == [0.9]
 
 
