@@ -39,11 +39,11 @@ from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.pairing import PairingLimits
 from obbhbb_ros.downlink.release import ReleaseSettings
-from obbhbb_ros.frames import CollectorLimits
 from obbhbb_ros.input_frame import FITS
 from obbhbb_ros.input_frame import InputFrame
 from obbhbb_ros.methods import ONBOARD_METHODS
-from obbhbb_ros.overlay import Style
+from obbhbb_ros.overlay.collector import CollectorLimits
+from obbhbb_ros.overlay.drawing import Style
 from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 

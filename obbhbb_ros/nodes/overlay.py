@@ -18,13 +18,13 @@ from vision_msgs.msg import Detection2DArray
 from visualization_msgs.msg import ImageMarker
 
 from obbhbb_ros.colors import LAYER_COLORS
-from obbhbb_ros.frames import IMAGE
-from obbhbb_ros.frames import FrameCollector
-from obbhbb_ros.frames import NotDrawn
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.managed import message_type
-from obbhbb_ros.overlay import OverlayError
-from obbhbb_ros.overlay_frame import OverlayFrame
+from obbhbb_ros.overlay.collector import IMAGE
+from obbhbb_ros.overlay.collector import FrameCollector
+from obbhbb_ros.overlay.collector import NotDrawn
+from obbhbb_ros.overlay.drawing import OverlayError
+from obbhbb_ros.overlay.frame import OverlayFrame
 from obbhbb_ros.settings import IMAGES_KEPT
 from obbhbb_ros.settings import OVERLAY
 from obbhbb_ros.settings import PLANS_KEPT

@@ -25,8 +25,8 @@ from obbhbb_ros.boxes import Defect
 from obbhbb_ros.downlink.chips import Dropped
 from obbhbb_ros.downlink.crops import LeftOut
 from obbhbb_ros.downlink.pairing import Unpaired
-from obbhbb_ros.frames import NotDrawn
 from obbhbb_ros.nodes.documentation import NODE_TABLES
+from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 ROOT = Path(__file__).parents[2]

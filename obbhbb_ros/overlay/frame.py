@@ -16,14 +16,14 @@ import numpy as np
 
 from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.colors import LAYER_COLORS
-from obbhbb_ros.frames import IMAGE
 from obbhbb_ros.input_frame import InputFrame
-from obbhbb_ros.overlay import Labels
-from obbhbb_ros.overlay import Layer
-from obbhbb_ros.overlay import Picture
-from obbhbb_ros.overlay import draw
-from obbhbb_ros.overlay import label_text
-from obbhbb_ros.overlay import lines
+from obbhbb_ros.overlay.collector import IMAGE
+from obbhbb_ros.overlay.drawing import Labels
+from obbhbb_ros.overlay.drawing import Layer
+from obbhbb_ros.overlay.drawing import Picture
+from obbhbb_ros.overlay.drawing import draw
+from obbhbb_ros.overlay.drawing import label_text
+from obbhbb_ros.overlay.drawing import lines
 from obbhbb_ros.pipeline import oriented_boxes
 from obbhbb_ros.settings import OverlaySettings
 from obbhbb_ros.wire.detections import Detections

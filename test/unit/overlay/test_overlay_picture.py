@@ -15,14 +15,14 @@ from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.colors import METHOD_COLORS
 from obbhbb_ros.colors import ORIENTED_COLOR
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
-from obbhbb_ros.overlay import Labels
-from obbhbb_ros.overlay import Layer
-from obbhbb_ros.overlay import OverlayError
-from obbhbb_ros.overlay import Style
-from obbhbb_ros.overlay import draw
-from obbhbb_ros.overlay import label_text
-from obbhbb_ros.overlay import lines
-from obbhbb_ros.overlay import picture_of
+from obbhbb_ros.overlay.drawing import Labels
+from obbhbb_ros.overlay.drawing import Layer
+from obbhbb_ros.overlay.drawing import OverlayError
+from obbhbb_ros.overlay.drawing import Style
+from obbhbb_ros.overlay.drawing import draw
+from obbhbb_ros.overlay.drawing import label_text
+from obbhbb_ros.overlay.drawing import lines
+from obbhbb_ros.overlay.drawing import picture_of
 from obbhbb_ros.wire.image import WireImage
 
 PIL = pytest.importorskip('PIL.Image')

@@ -7,10 +7,10 @@ import itertools
 
 import pytest
 
-from obbhbb_ros.frames import IMAGE
-from obbhbb_ros.frames import CollectorLimits
-from obbhbb_ros.frames import FrameCollector
-from obbhbb_ros.frames import NotDrawn
+from obbhbb_ros.overlay.collector import IMAGE
+from obbhbb_ros.overlay.collector import CollectorLimits
+from obbhbb_ros.overlay.collector import FrameCollector
+from obbhbb_ros.overlay.collector import NotDrawn
 
 LIMITS = CollectorLimits(max_wait=0.5, max_age=5.0, images=3)
 AWAITED = {'boxes', 'detections'}
