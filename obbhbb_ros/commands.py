@@ -508,6 +508,12 @@ def _export_spool(spool: Spool, condition: spools.Condition, options: _Options) 
     return 0
 
 
+def _forget_outbox(spool: Spool, condition: spools.Condition, options: _Options) -> int:
+    """Count the chips in a lost outbox as evicted, so that another one is used."""
+    print(f'{spool.forget_outbox()} chips counted as evicted')
+    return 0
+
+
 # The docstring of the function that carries out an action is its help.
 SPOOL_ACTIONS: dict[str, Callable[[Spool, spools.Condition, _Options], int]] = {
     'list': _list_spool,
@@ -515,6 +521,7 @@ SPOOL_ACTIONS: dict[str, Callable[[Spool, spools.Condition, _Options], int]] = {
     'revalue': _revalue_spool,
     'delete': _delete_from_spool,
     'export': _export_spool,
+    'forget-outbox': _forget_outbox,
 }
 
 

@@ -10,6 +10,7 @@ validated as a whole before any is applied: a set that is rejected changes nothi
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Callable
 from collections.abc import Iterable
@@ -645,7 +646,7 @@ def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
             (values['cache.images'], values['cache.regions']), values['cache.max_age'],
             values['cache.slop'],
         ),
-        spool_path=values['spool.path'],
+        spool_path=_folder(values, 'spool.path'),
         spool_max_bytes=values['spool.max_bytes'],
     )
 
@@ -740,17 +741,28 @@ class DownlinkSettings:
     release: ReleaseSettings
 
 
+def _folder(values: Mapping[str, Any], name: str) -> str:
+    """Return the folder that a parameter names; empty if it names none."""
+    path = os.path.expanduser(values[name].strip())
+    if path and not os.path.isabs(path):
+        raise ValueError(f'{name} must be an absolute path, not {path}')
+    return os.path.normpath(path) if path else ''
+
+
 def _downlink_settings(values: Mapping[str, Any]) -> DownlinkSettings:
     """Make settings for `downlink`."""
-    for name in ('spool.path', 'outbox.path'):
-        if not values[name]:
+    spool, outbox = (_folder(values, name) for name in ('spool.path', 'outbox.path'))
+    for name, path in (('spool.path', spool), ('outbox.path', outbox)):
+        if not path:
             raise ValueError(f'{name} is missing: name a folder')
+    if os.path.commonpath((spool, outbox)) in (spool, outbox):
+        raise ValueError(f'outbox.path and spool.path must be apart, not {outbox} and {spool}')
     levels = values['outbox.levels']
     if any(math.isnan(level) for level in levels):
         raise ValueError('outbox.levels must be numbers, not nan')
     return DownlinkSettings(
-        spool_path=values['spool.path'],
-        outbox_path=values['outbox.path'],
+        spool_path=spool,
+        outbox_path=outbox,
         always_in_contact=values['contact'] == 'always',
         release=ReleaseSettings(
             budget=BudgetSettings(
@@ -793,7 +805,7 @@ DOWNLINK = ParameterTable(
             'of thresholds above its value, 0 for the most valuable.',
         ),
         Parameter(
-            'outbox.max_bytes', 0.0,
+            'outbox.max_bytes', 1e9,
             'Maximum bytes in the outbox; when it is full, chips wait in the spool (0: unlimited).',
             0.0, _MOST_BYTES,
         ),

@@ -150,11 +150,13 @@ class Catalogue:
             same = False
         if not same:
             self._on_trouble(f'{self._path} was deleted or replaced, a new catalogue begins')
-        return same and not _marked(self._path)
+        return same and in_use(self._path)
 
     def _open(self) -> None:
         """Open the database in use, or a new one."""
-        self._folder.mkdir(parents=True, exist_ok=True)
+        if not self._folder.exists():
+            self._folder.mkdir(parents=True, exist_ok=True)
+            sync_folder(self._folder.parent)
         with _alone(self._folder / 'open.lock'):
             path = self._in_use() or self._new_path()
             try:
@@ -206,7 +208,7 @@ class Catalogue:
 
     def _in_use(self) -> Path | None:
         """Find the database in use."""
-        return next((each for each in reversed(files(self._folder)) if not _marked(each)), None)
+        return next((each for each in reversed(files(self._folder)) if in_use(each)), None)
 
     def _new_path(self) -> Path:
         """Make a name that no database had."""
@@ -267,9 +269,9 @@ def _statements(script: str) -> Iterator[str]:
             statement = ''
 
 
-def _marked(path: Path) -> bool:
-    """Return whether a database is marked as damaged."""
-    return path.with_name(path.name + DAMAGED).exists()
+def in_use(path: Path) -> bool:
+    """Return whether a database is not marked as damaged."""
+    return not path.with_name(path.name + DAMAGED).exists()
 
 
 def _locked(path: Path) -> int | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import secrets
 from collections.abc import Collection
 from collections.abc import Sequence
@@ -25,6 +26,8 @@ JSON_SUFFIX = '.json'
 # Names of unfinished files begin with it.
 _HIDDEN = '.'
 _TOKEN = '.outbox'
+# As `replacing` names them.
+_UNFINISHED = re.compile(r'\.[0-9a-f]{8}\.\w+')
 
 
 @dataclass
@@ -85,6 +88,9 @@ class Outbox:
             If it cannot be written.
         """
         folder = self.folder / str(level)
+        if not folder.exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            sync_folder(self.folder)
         chip, described = folder / f'{chip_id}.{suffix}', folder / f'{chip_id}{JSON_SUFFIX}'
         try:
             with replacing(chip) as partial:
@@ -124,7 +130,7 @@ class Outbox:
         """Remove files without a final name, and those of some chips that have no JSON."""
         for folder in self._levels():
             for path in list(folder.iterdir()):
-                if path.name.startswith(_HIDDEN) or path.stem in ids:
+                if _UNFINISHED.fullmatch(path.name) or path.stem in ids:
                     path.unlink(missing_ok=True)
 
     def token(self) -> str:

@@ -53,7 +53,7 @@ class Recorder:
         """Describe a chip."""
         x0, y0, x1, y1 = chip.region
         score, class_id = self._plan.scores[chip.index], self._plan.class_ids[chip.index]
-        source = self._sources[chip.index] if self._sources else Source(score or 0.0, ())
+        source = self._sources[chip.index] if self._sources else Source('', score or 0.0, ())
         facts = {
             'roi': [x0, y0, x1 - x0, y1 - y0],
             'score': score,

@@ -144,21 +144,27 @@ class Releaser:
 
     def _own_outbox(self) -> None:
         """Refuse an outbox that is not the one into which chips have gone, as if unmounted."""
-        token, known = self._outbox.token(), self._spool.outbox()
+        known, folder = self._spool.outbox(), self._outbox.folder
+        if known and not folder.exists():
+            raise SpoolError(f'{folder} is missing; is it mounted? Make it if it is to be new')
+        token = self._outbox.token()
         if known == token:
             return
         if known and (waiting := len(self._spool.ids(RELEASED))):
             raise SpoolError(
-                f'{self._outbox.folder} is not the outbox into which {waiting} chips were '
-                'released that have not been removed yet; is it mounted?'
+                f'{folder} is not the outbox into which {waiting} chips were released that have '
+                'not been removed yet; is it mounted? If that one is lost: obbhbb spool PATH '
+                'forget-outbox'
             )
+        if known:
+            self._on_trouble(f'{folder} is another outbox than before; is it mounted?')
         self._spool.set_outbox(token)
 
     def _record(self) -> None:
         """Write down what became of claimed chips."""
         if self._put_out and self.settings.removal:
-            known = self._spool.outbox()
-            if known and known != self._outbox.token():
+            known, folder = self._spool.outbox(), self._outbox.folder
+            if known and not (folder.exists() and known == self._outbox.token()):
                 # Into whatever has taken its place; they are looked up when it is back.
                 self._put_out, self._is_resumed = [], False
                 raise SpoolError(f'{self._outbox.folder} was replaced; is it mounted?')
@@ -186,15 +192,15 @@ class Releaser:
 
     def _release(self) -> float:
         """Claim chips and put them into the outbox as long as that is allowed."""
+        budget = self._room_for_link()
         if not self.contact:
             self.stalled_by = 'no contact'
             return IDLE
-        budget = self._room_for_link()
-        room = self._room_in_outbox()
+        room, most = self._room_in_outbox(), self.settings.max_bytes or inf
         # Whatever interrupts this, the next step looks into the outbox.
         self._is_resumed = False
         claimed, missing = self._spool.claim(
-            _BATCH, min(self.available, room), self._bucket.burst, budget.overhead
+            _BATCH, min(self.available, room), min(self._bucket.burst, most), budget.overhead
         )
         self._put_back = [chip.id for chip, _ in claimed]
         for chip, data in claimed:
@@ -202,7 +208,7 @@ class Releaser:
                 break
         self._is_resumed = True
         if not claimed:
-            return self._stall(missing, room)
+            return self._stall(missing, room, most)
         self.stalled_by = ''
         self._record()
         return 0.0
@@ -229,13 +235,15 @@ class Releaser:
         self._put_out.append(chip.id)
         return True
 
-    def _stall(self, missing: float, room: float) -> float:
+    def _stall(self, missing: float, room: float, most: float) -> float:
         """Say why nothing is released; return how long to wait."""
         if not missing:
             self.stalled_by = 'nothing waits'
             return IDLE
         if missing == inf:
-            self._report_stall('all chips that wait are larger than budget.burst')
+            limits = {'budget.burst': self._bucket.burst, 'outbox.max_bytes': most}
+            least = min(limits, key=lambda name: limits[name])
+            self._report_stall(f'all chips that wait are larger than {least}')
             # To find that out, all of them have to be looked at.
             return _RETRY
         if missing > room:

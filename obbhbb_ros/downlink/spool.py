@@ -426,34 +426,70 @@ class Spool:
 
     def revalue(self, where: str, values: Sequence[Any], factor: float, addend: float) -> int:
         """Change the value of waiting chips that meet a condition; return how many."""
-        def work(rows: sqlite3.Cursor) -> int:
-            rows.execute(
-                # JSON has no infinite numbers.
-                'UPDATE chips SET value = max(min(value * ? + ?, ?), ?) '
-                f'WHERE state = ? AND {where}',
-                (factor, addend, sys.float_info.max, -sys.float_info.max, WAITING, *values),
+        def work(rows: sqlite3.Cursor, seqs: Sequence[int]) -> None:
+            # JSON has no infinite numbers.
+            rows.executemany(
+                'UPDATE chips SET value = max(min(value * ? + ?, ?), ?) WHERE seq = ?',
+                [(factor, addend, sys.float_info.max, -sys.float_info.max, seq) for seq in seqs],
             )
-            return rows.rowcount
 
-        return self._write(work)
+        return self._in_pieces(where, values, work)
 
     def delete(self, where: str, values: Sequence[Any]) -> int:
         """Delete waiting chips that meet a condition, counted as evicted; return how many."""
-        def work(rows: sqlite3.Cursor) -> int:
-            rows.execute(f'DELETE FROM chips WHERE state = ? AND {where}', (WAITING, *values))
-            deleted = rows.rowcount
-            _book(rows, 'evicted.deleted', deleted)
-            return deleted
+        def work(rows: sqlite3.Cursor, seqs: Sequence[int]) -> None:
+            rows.executemany('DELETE FROM chips WHERE seq = ?', [(seq,) for seq in seqs])
+            _book(rows, 'evicted.deleted', len(seqs))
 
-        return self._write(work)
+        return self._in_pieces(where, values, work)
+
+    def _in_pieces(
+        self,
+        where: str,
+        values: Sequence[Any],
+        change: Callable[[sqlite3.Cursor, Sequence[int]], None],
+    ) -> int:
+        """Change waiting chips that meet a condition, so many at once that nobody waits long."""
+        changed, last = 0, 0
+
+        def work(rows: sqlite3.Cursor) -> list[int]:
+            found = rows.execute(
+                f'SELECT seq FROM chips WHERE state = ? AND seq > ? AND {where} ORDER BY seq '
+                'LIMIT ?', (WAITING, last, *values, _MOST_EVICTED),
+            ).fetchall()
+            seqs = [seq for (seq,) in found]
+            change(rows, seqs)
+            return seqs
+
+        while seqs := self._write(work):
+            changed, last = changed + len(seqs), seqs[-1]
+        return changed
 
     def integrity(self) -> list[str]:
         """Check the structure of the catalogue; list what is wrong."""
         found = self._catalogue.run(lambda rows: rows.execute('PRAGMA integrity_check').fetchall())
         return [text for (text,) in found if text != 'ok']
 
+    def forget_outbox(self) -> int:
+        """Count the chips in the outbox as evicted, and take any outbox; return how many."""
+        def work(rows: sqlite3.Cursor) -> int:
+            rows.execute('DELETE FROM chips WHERE state = ?', (RELEASED,))
+            lost = rows.rowcount
+            _book(rows, 'evicted.outbox_lost', lost)
+            rows.execute("DELETE FROM notes WHERE name = 'outbox'")
+            return lost
+
+        return self._write(work)
+
+    def catch_up(self) -> None:
+        """Write down what could not be written down before, if there is anything."""
+        if self._arrears:
+            with suppress(SpoolError):
+                self._write(lambda rows: None)
+
     def close(self) -> None:
         """Close the catalogue and let go of the locks."""
+        self.catch_up()
         self._catalogue.close()
 
     def _write(self, work: Callable[[sqlite3.Cursor], T]) -> T:

@@ -12,6 +12,7 @@ Stamp: TypeAlias = tuple[int, int]
 
 _REMEMBERED = 10_000
 _SECOND = 1_000_000_000
+_LAST = 2**31 - 1
 
 
 class ChipStamps:
@@ -40,7 +41,8 @@ class ChipStamps:
                 yield stamp
             nanoseconds += 1
             if nanoseconds >= _SECOND:
-                seconds, nanoseconds = seconds + 1, 0
+                # After the last second that a message can hold comes the first.
+                seconds, nanoseconds = (0 if seconds == _LAST else seconds + 1), 0
 
     def _remember(self, stamp: Stamp) -> None:
         """Remember a stamp instead of the oldest."""

@@ -14,6 +14,9 @@ from obbhbb_ros.wire.cdr import WireError
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image import read_image_size
 
+# What a region of interest can hold.
+_FARTHEST = 2**32 - 1
+
 
 class Camera:
     """
@@ -33,11 +36,18 @@ class Camera:
         """Take in a serialized camera info; WireError if the bytes are no such message."""
         size = read_image_size(data)
         try:
-            self._info = deserialize_message(data, CameraInfo)
+            info = deserialize_message(data, CameraInfo)
         except Exception as error:
             # A text that is no UTF-8, for example.
             raise WireError(str(error)) from None
-        self.image_size = size
+        ends = [
+            start + length * max(binning, 1) for start, length, binning in
+            zip((info.roi.x_offset, info.roi.y_offset), size, (info.binning_x, info.binning_y),
+                strict=True)
+        ]
+        if max(ends) > _FARTHEST:
+            raise WireError(f'a region of interest up to {ends[0]}, {ends[1]}')
+        self._info, self.image_size = info, size
 
     def info_for(self, image: WireImage) -> Any:
         """Return the camera info of an image; with its size alone if none is known for that."""

@@ -41,6 +41,7 @@ from obbhbb_ros.nodes.camera import Camera
 from obbhbb_ros.nodes.chip_topics import ChipTopics
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.spool_report import facts_of
+from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.settings import CHIP_EXTRACTOR
 from obbhbb_ros.settings import IMAGES_KEPT
 from obbhbb_ros.settings import PLANS_KEPT
@@ -162,6 +163,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             'budget_available': f'{self._bucket.available(time.monotonic()):.0f}',
         }
         if self._spool is not None:
+            self._spool.catch_up()
             try:
                 facts.update(facts_of(self._spool.status()))
             except SpoolError as error:
@@ -286,15 +288,30 @@ class ChipExtractor(ManagedNode[ChipSettings]):
                 self._warn_of_failure(image, settings, region, error)
 
         chips = chips_of(view, layout, planned.plan.regions, settings.codec, on_drop)
-        if planned.frame is not None:
-            records: list[NewChip] = []
-            chips = self._recorded(chips, records, image, planned.plan, settings)
-        if wanted:
+        if planned.frame is None:
             self._send(chips, image, planned, settings, refused)
-        # What was not sent is made for the spool all the same.
-        if planned.frame is not None:
+            return
+        records: list[NewChip] = []
+        chips = self._recorded(chips, records, image, planned.plan, settings)
+        try:
+            if wanted:
+                self._send(chips, image, planned, settings, refused)
+        finally:
+            self._store_all(chips, records, planned, refused)
+
+    def _store_all(
+        self,
+        chips: Iterator[Chip],
+        records: Sequence[NewChip],
+        planned: PlannedFrame,
+        refused: Counter[str],
+    ) -> None:
+        """Make the chips that were not sent as well, and store all of them, whatever happens."""
+        try:
             deque(chips, maxlen=0)
-            self._store(planned, records, refused)
+        finally:
+            failed = len(planned) - len(records) - refused.total()
+            self._store(planned, records, refused + Counter(failed=failed))
 
     def _recorded(
         self,
@@ -305,15 +322,26 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         settings: ChipSettings,
     ) -> Iterator[Chip]:
         """Pass chips on, and add their records for the spool to a list."""
-        sources = self._sources.pop(plan.stamp, [])
-        if len(sources) != len(plan):
-            self._monitor.add('plans_without_sources')
-            sources = []
+        sources = self._sources_of(plan)
         camera = self._camera.info_for(image).k.tolist()
         recorder = Recorder(image, plan, sources, settings.codec.codec, camera)
         for chip in chips:
             records.append(recorder.record(chip))
             yield chip
+
+    def _sources_of(self, plan: Plan) -> list[Source]:
+        """Take the sources of the regions of a plan; none if they are not for this plan."""
+        sources = self._sources.pop(plan.stamp, [])
+        if plan.has_sources(sources):
+            return sources
+        self._monitor.add('plans_without_sources')
+        if self._sources_in.get_publisher_count():
+            self._warn(
+                'no sources',
+                f'no sources on {self._sources_in.topic_name} for the plan at stamp '
+                f'{_seconds(plan.stamp)}: scores are taken as values',
+            )
+        return []
 
     def _send(
         self,
@@ -392,7 +420,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     def _warn_of_spool(self, text: str) -> None:
         """Report trouble with the spool."""
         self._monitor.add('spool_troubles')
-        self._warn('spool', f'spool: {text}')
+        self._warn(kind_of(text), f'spool: {text}')
 
 
 def _seconds(stamp: Stamp) -> str:

@@ -19,6 +19,7 @@ from obbhbb_ros.downlink.release import Releaser
 from obbhbb_ros.downlink.spool import Spool
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.spool_report import facts_of
+from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.settings import DOWNLINK
 from obbhbb_ros.settings import DownlinkSettings
 from obbhbb_ros.wire.cdr import WireError
@@ -76,7 +77,8 @@ class Worker:
             try:
                 pause = self.releaser.step()
             except Exception as error:
-                self.troubles.append(f'{type(error).__name__}: {error}')
+                self.releaser.stalled_by = f'{type(error).__name__}: {error}'
+                self.troubles.append(self.releaser.stalled_by)
                 pause = 10 * IDLE
             self._wake.wait(pause)
             self._wake.clear()
@@ -190,4 +192,4 @@ class Downlink(ManagedNode[DownlinkSettings]):
     def _warn_of_spool(self, text: str) -> None:
         """Report trouble with spool or outbox."""
         self._monitor.add('troubles')
-        self._warn(text, text)
+        self._warn(kind_of(text), text)

@@ -6,6 +6,11 @@ from __future__ import annotations
 from obbhbb_ros.downlink.spool import Status
 
 
+def kind_of(text: str) -> str:
+    """Return what a message about a spool has in common with others: all but names and numbers."""
+    return ' '.join(word for word in text.split() if not any(map(str.isdigit, word)))
+
+
 def facts_of(status: Status) -> dict[str, str]:
     """List what the diagnostics say of a spool."""
     counts = dict(status.counts)

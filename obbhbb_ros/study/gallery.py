@@ -34,6 +34,7 @@ from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.labels.images import opened_image
 from obbhbb_ros.study.pages import environment
+from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track
 
 _SUFFIXES = {f'.{codec.suffix}' for codec in CODECS.values()}
@@ -105,21 +106,21 @@ def read_received(folder: Path) -> Received:
     files = sorted(_files(folder, received.problems))
     named = set()
     for path in track([each for each in files if each.suffix == '.json'], 'reading'):
-        shown = _printable(str(path.relative_to(folder)))
+        shown = printable(str(path.relative_to(folder)))
         try:
             chip = _checked(path)
         except (OSError, ValueError, RecursionError) as error:
-            received.problems.append(f'{shown}: {_printable(str(error))}')
+            received.problems.append(f'{shown}: {printable(str(error))}')
             continue
         named.add(chip.path)
         received.chips.append(chip)
         if chip.damage:
-            name = _printable(str(chip.path.relative_to(folder)))
+            name = printable(str(chip.path.relative_to(folder)))
             received.problems.append(f'{name}: {chip.damage}')
     received.chips.sort(key=lambda chip: chip.rank)
     orphans = [each for each in files if each.suffix in _SUFFIXES and each not in named]
     if orphans:
-        first = _printable(str(orphans[0].relative_to(folder)))
+        first = printable(str(orphans[0].relative_to(folder)))
         received.problems.append(f'{first}: no usable JSON; {len(orphans)} such files in all')
     return received
 
@@ -149,14 +150,14 @@ def gallery_page(received: Received, beside: Path, title: str, limit: int = 0) -
     if limit < 0:
         raise ValueError(f'limit must be 0 or more, not {limit}')
     chips = received.chips[:limit] if limit else received.chips
-    classes = Counter(_printable(chip.facts['class_id']) for chip in received.chips)
+    classes = Counter(printable(chip.facts['class_id']) for chip in received.chips)
     numbers = {class_id: number for number, (class_id, _) in enumerate(classes.most_common())}
     cards = [
         _card(chip, numbers, beside, received.problems) for chip in track(chips, 'drawing')
     ]
     stamps = sorted((chip.facts['stamp'] for chip in received.chips), key=_instant)
     return environment().get_template('gallery.html').render(
-        title=_printable(title),
+        title=printable(title),
         total=len(received.chips),
         classes=classes.most_common(),
         span=[_utc(stamp) for stamp in (stamps[0], stamps[-1])] if stamps else [],
@@ -169,7 +170,7 @@ def gallery_page(received: Received, beside: Path, title: str, limit: int = 0) -
 def _files(folder: Path, problems: list[str]) -> Iterator[Path]:
     """Find the regular files in a folder and all below it."""
     def report(error: OSError) -> None:
-        problems.append(_printable(str(error)))
+        problems.append(printable(str(error)))
 
     for place, folders, names in os.walk(folder, onerror=report):
         folders[:] = [name for name in folders if not name.startswith('.')]
@@ -270,17 +271,17 @@ def _card(
 ) -> dict[str, Any]:
     """Collect what the template shows of a chip."""
     facts = chip.facts
-    class_id = _printable(facts['class_id'])
+    class_id = printable(facts['class_id'])
     link = quote(os.fsencode(os.path.relpath(chip.path, beside)))
     return {
-        'id': _printable(facts['id']),
+        'id': printable(facts['id']),
         'class_id': class_id,
         'class_number': numbers[class_id],
         'score': facts['score'],
         'value': facts['value'],
         'time': _utc(facts['stamp']),
         'stamp': '{sec}.{nanosec:09d}'.format(**facts['stamp']),
-        'frame_id': _printable(facts['frame_id']),
+        'frame_id': printable(facts['frame_id']),
         'detections': len(facts['detection_ids']),
         'roi': facts['roi'],
         'image_size': facts['image_size'],
@@ -311,7 +312,7 @@ def _picture(chip: Chip, link: str, problems: list[str]) -> str | None:
         raise
     except Exception as error:
         # Any exception: Pillow's readers raise whatever a damaged file leads them to.
-        problems.append(f'{_printable(chip.path.name)}: no picture ({_printable(str(error))})')
+        problems.append(f'{printable(chip.path.name)}: no picture ({printable(str(error))})')
         return None
 
 
@@ -358,8 +359,3 @@ def _utc(stamp: dict[str, int]) -> str:
     """Write a stamp as date and time of day, to the millisecond."""
     whole = _EPOCH + timedelta(seconds=stamp['sec'])
     return f'{whole:%Y-%m-%d %H:%M:%S}.{math.floor(stamp["nanosec"] / 1e6):03d} UTC'
-
-
-def _printable(text: str) -> str:
-    """Escape what a terminal or a UTF-8 file could not take."""
-    return ''.join(each if each.isprintable() else ascii(each)[1:-1] for each in text)

@@ -32,3 +32,8 @@ def note(message: str) -> None:
         print(message, file=sys.stderr)
     else:
         tqdm.tqdm.write(message, file=sys.stderr)
+
+
+def printable(text: str) -> str:
+    """Escape what a terminal or a UTF-8 file could not take."""
+    return ''.join(each if each.isprintable() else ascii(each)[1:-1] for each in text)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from obbhbb_ros.downlink.catalogue import files
+from obbhbb_ros.downlink.catalogue import in_use
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.downlink.outbox import Outbox
 from obbhbb_ros.downlink.spool import CLAIMED
@@ -23,6 +24,7 @@ from obbhbb_ros.downlink.spool import Status
 from obbhbb_ros.downlink.spool import StoredChip
 from obbhbb_ros.downlink.spool import describe_intact
 from obbhbb_ros.study.progress import note
+from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track
 
 STATES = {WAITING: 'waiting', CLAIMED: 'being released', RELEASED: 'in outbox'}
@@ -64,8 +66,10 @@ class Condition:
 
 def open_spool(folder: Path) -> Spool:
     """Open a spool that exists; ValueError if there is none."""
-    if not files(folder):
-        raise ValueError(f'{folder} is no spool: it has no file chips_*.sqlite3')
+    if not any(map(in_use, files(folder))):
+        raise ValueError(
+            f'{folder} is no spool: it has no file chips_*.sqlite3 that is not set aside'
+        )
     return Spool(folder, note)
 
 
@@ -100,7 +104,7 @@ def chip_table(chips: Iterable[StoredChip]) -> str:
     """Write chips as a table, in the order of their release."""
     rows = [('id', 'class', 'value', 'kB', 'state')]
     rows += [
-        (chip.id, chip.class_id, f'{chip.value:.3f}', f'{chip.bytes / 1e3:.1f}',
+        (chip.id, printable(chip.class_id), f'{chip.value:.4g}', f'{chip.bytes / 1e3:.1f}',
          STATES[chip.state])
         for chip in chips
     ]
@@ -123,8 +127,16 @@ def as_json(status: Status, chips: Iterable[StoredChip]) -> Mapping[str, Any]:
         'in_work': status.in_work,
         'set_aside': status.set_aside,
         'counts': dict(status.counts),
-        'chips': [{**chip.describe(), 'state': STATES[chip.state]} for chip in chips],
+        'chips': [{**_described(chip), 'state': STATES[chip.state]} for chip in chips],
     }
+
+
+def _described(chip: StoredChip) -> Mapping[str, Any]:
+    """Describe a chip, as far as its description is not damaged."""
+    try:
+        return chip.describe()
+    except ValueError:
+        return {'id': chip.id, 'value': chip.value, 'damaged': True}
 
 
 def wrong_with(spool: Spool) -> Iterator[str]:
@@ -142,7 +154,10 @@ def export(chips: Iterable[tuple[StoredChip, bytes]], folder: Path) -> int:
     """Write chips with their JSON to a folder, as to an outbox; return how many."""
     outbox, count = Outbox(folder), 0
     for chip, data in chips:
-        description = chip.describe()
+        description = describe_intact(chip, data)
+        if description is None:
+            note(f'obbhbb: left out: {chip.id} is damaged')
+            continue
         outbox.put(chip.id, CODECS[description['codec']].suffix, data, description, level=0)
         count += 1
     return count

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,12 +22,15 @@ class Source(NamedTuple):
 
     Attributes
     ----------
+    id : str
+        Id of the most valuable detection of the region.
     value : float
         Value of the region; 0 where it has none.
     obb : tuple of float
         Centre x and y, length and width (pixels), theta (radians) of its most valuable detection.
     """
 
+    id: str
     value: float
     obb: tuple[float, ...]
 
@@ -84,6 +88,14 @@ class Plan:
         """List the ids of the detections in each region; none for a detection without id."""
         return [text.split(ID_SEPARATOR) if text else [] for text in self._detections.ids()]
 
+    def has_sources(self, sources: Sequence[Source]) -> bool:
+        """Return whether sources are those of the regions: as many, with the same ids."""
+        ids = self._detections.ids()
+        return len(sources) == len(ids) and all(
+            region == source.id or region.startswith(source.id + ID_SEPARATOR)
+            for region, source in zip(ids, sources, strict=True)
+        )
+
     def alone(
         self, row: int, stamp: tuple[int, int], image_stamp: tuple[int, int], frame_id: str
     ) -> bytes:
@@ -134,5 +146,6 @@ def read_sources(data: bytes) -> tuple[tuple[int, int], list[Source]]:
     values = np.nan_to_num(detections.scores(), nan=0.0, posinf=0.0, neginf=0.0).tolist()
     boxes = detections.xywhr().tolist()
     return detections.stamp, [
-        Source(value, tuple(box)) for value, box in zip(values, boxes, strict=True)
+        Source(chip_id, value, tuple(box))
+        for chip_id, value, box in zip(detections.ids(), values, boxes, strict=True)
     ]

@@ -23,6 +23,9 @@ from outboxes import put
 
 from obbhbb_ros.cli import main
 
+# Long, and about DDS, SQLite and files rather than NumPy and Pillow.
+pytestmark = pytest.mark.once
+
 HERE = Path(__file__).parent
 LOSS = 0.1
 # Seconds; short, as nothing is far away.

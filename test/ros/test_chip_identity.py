@@ -25,6 +25,9 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.nodes.play_detections import image_message
 
+# Long, and about DDS, SQLite and files rather than NumPy and Pillow.
+pytestmark = pytest.mark.once
+
 ROOT = Path(__file__).parents[2]
 SIDE = 800
 WHITE = np.full((SIDE, SIDE), 255, np.uint8)
@@ -261,6 +264,18 @@ def test_the_source_of_a_region_is_its_most_valuable_detection(site: Site) -> No
         # The scores of the plan are those of the detector.
         scores = [r.hypothesis.score for each in plan.detections for r in each.results]
         assert scores == [0.4, 0.9, 0.8]
+
+
+def test_a_camera_with_a_region_that_no_message_can_hold_is_refused(node: ChipNode) -> None:
+    info = camera(SIDE, SIDE)
+    info.roi = RegionOfInterest(x_offset=2**32 - 1, width=SIDE, height=SIDE)
+    before = node.counts()
+    publisher = node.peer.publisher(CameraInfo, 'camera_info')
+    node.send_until(
+        lambda: publisher.publish(info),
+        lambda: node.counts().since(before).get('messages_unreadable'), 'it is counted',
+    )
+    assert 'a region of interest up to' in node.process.log
 
 
 def test_a_camera_that_cannot_be_read_costs_no_chip(node: ChipNode) -> None:

@@ -25,6 +25,7 @@ from harness import ChipNode
 from harness import Converter
 from harness import Counts
 from harness import Node
+from harness import NodeProcess
 from harness import Peer
 from harness import Site
 from harness import unexplained
@@ -34,12 +35,16 @@ from PIL import Image as Picture
 from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CompressedImage
 from sensor_msgs.msg import Image
 from ships import detections
 from std_msgs.msg import Bool
 from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.nodes.play_detections import image_message
+
+# Long, and about DDS, SQLite and files rather than NumPy and Pillow.
+pytestmark = pytest.mark.once
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 NOISE = np.random.default_rng(5).integers(0, 256, (256, 256)).astype(np.uint8)
@@ -321,6 +326,58 @@ def test_without_a_folder_it_does_not_start(site: Site, tmp_path: Path, missing:
         assert f'cannot start: {missing} is missing' in process.log
 
 
+@pytest.mark.parametrize(
+    ('folders', 'reason'),
+    [
+        ({'spool.path': 'spool'}, 'spool.path must be an absolute path, not spool'),
+        ({'outbox.path': '/a/outbox', 'spool.path': '/a/outbox/'}, 'must be apart'),
+        ({'outbox.path': '/a', 'spool.path': '/a/0'}, 'must be apart'),
+    ],
+)
+def test_folders_that_cannot_be_meant_are_refused(
+    site: Site, folders: dict[str, str], reason: str
+) -> None:
+    given = {'spool.path': '/a/spool', 'outbox.path': '/a/outbox'} | folders
+    with site.start('downlink', parameters=given) as process:
+        assert process.wait() == 1
+        assert reason in process.log
+
+
+BROKEN = """
+import sys
+from obbhbb_ros.nodes import __main__ as nodes
+from obbhbb_ros.nodes.chip_topics import FrameTopics
+real, count = FrameTopics.publish, []
+def publish(self, chip, data):
+    count.append(1)
+    if len(count) == 3:
+        raise RuntimeError('the middleware is full')
+    real(self, chip, data)
+FrameTopics.publish = publish
+sys.exit(nodes.chip_extractor())
+"""
+
+
+def test_an_error_on_the_topics_costs_the_spool_nothing(site: Site, tmp_path: Path) -> None:
+    node = ChipNode.__new__(ChipNode)
+    Node.__init__(node, site, 'chip_extractor')
+    node.chips = node.peer.collect(CompressedImage, 'chip/compressed')
+    with node:
+        node.process = NodeProcess(
+            [sys.executable, '-c', BROKEN], tmp_path / 'log', namespace=node.namespace,
+            parameters={'codec': 'png', 'spool.path': tmp_path / 'spool'},
+        )
+        node.images = node.peer.publisher(Image, 'image')
+        node.plans = node.peer.publisher(Detection2DArray, 'crop_regions')
+        node.send_until(
+            lambda: node.send(NOISE, 'mono8', [(0, 0, 8, 8), (8, 8, 16, 16)]),
+            lambda: 'the middleware is full' in node.process.log, 'the error',
+        )
+        counts = node.counts()
+        assert counts['spool.planned'] == counts['spool.waiting'] > 2
+        assert counts['spool.in_work'] == 0
+
+
 def test_a_spool_that_is_deleted_is_said_and_begins_anew(chain: Chain) -> None:
     node = chain.downlink()
     node.wait(lambda: node.counts()['spool.waiting'] == 0, 'a release')
@@ -419,7 +476,6 @@ def test_every_key_of_the_downlink_node_is_explained(chain: Chain) -> None:
     assert not unexplained(chain.books(), 'chip_extractor.md')
 
 
-@pytest.mark.once
 def test_the_books_balance_after_every_kill_and_the_bus_has_what_they_say() -> None:
     command = Path(__file__).parents[1] / 'soak' / 'kills.py'
     done = subprocess.run(

@@ -67,8 +67,8 @@ def test_the_books_and_the_next_chips_are_shown(folder, capsys) -> None:
     assert head.split() == ['id', 'class', 'value', 'kB', 'state']
     assert [row.split()[1:4] for row in rows] == [
         [class_id, value, '1.5'] for class_id, value in (
-            ('ship', '0.600'), ('tug', '0.500'), ('ship', '0.400'), ('tug', '0.300'),
-            ('ship', '0.200'), ('tug', '0.700'), ('ship', '0.800'),
+            ('ship', '0.6'), ('tug', '0.5'), ('ship', '0.4'), ('tug', '0.3'),
+            ('ship', '0.2'), ('tug', '0.7'), ('ship', '0.8'),
         )
     ]
     assert [row.split(maxsplit=4)[4] for row in rows] == (

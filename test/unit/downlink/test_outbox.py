@@ -50,8 +50,9 @@ def test_the_json_gets_its_name_last_when_both_are_on_disk(tmp_path, monkeypatch
     monkeypatch.setattr(os, 'fsync', noted_fsync)
     monkeypatch.setattr(os, 'replace', noted_replace)
     put(Outbox(tmp_path))
-    # Of the file, its name, of the folder; '' is the folder.
+    # Of the new folder; of the file, its name, of the folder; '' is a folder.
     assert done == [
+        ('fsync', ''),
         ('fsync', '.jpg'), ('replace', '.jpg'), ('fsync', ''),
         ('fsync', '.json'), ('replace', '.json'), ('fsync', ''),
     ]
@@ -65,7 +66,7 @@ def test_a_chip_that_is_there_is_replaced(tmp_path) -> None:
     assert len(names(tmp_path)) == 2
 
 
-@pytest.mark.parametrize('failing', [0, 1, 2, 3])
+@pytest.mark.parametrize('failing', range(5))
 def test_a_chip_that_fails_leaves_no_half(tmp_path, monkeypatch, failing) -> None:
     outbox, calls = Outbox(tmp_path), []
     real = os.fsync
@@ -79,8 +80,8 @@ def test_a_chip_that_fails_leaves_no_half(tmp_path, monkeypatch, failing) -> Non
     monkeypatch.setattr(os, 'fsync', fail)
     with pytest.raises(OSError, match='No space left'):
         put(outbox)
-    # Before the last, the JSON has no name.
-    assert names(tmp_path) == ([] if failing < 3 else ['0/a.jpg', '0/a.json'])
+    # Before the last, the JSON has no name; the first is for the new folder.
+    assert names(tmp_path) == ([] if failing < 4 else ['0/a.jpg', '0/a.json'])
 
 
 def test_what_is_there_is_listed(tmp_path) -> None:
@@ -92,7 +93,7 @@ def test_what_is_there_is_listed(tmp_path) -> None:
     put(outbox, 'd')
     (tmp_path / '0' / 'c.jpg').unlink()
     (tmp_path / '0' / 'd.json').unlink()
-    (tmp_path / '0' / '.1234.jpg').write_bytes(b'unfinished')
+    (tmp_path / '0' / '.0123abcd.jpg').write_bytes(b'unfinished')
     (tmp_path / 'log.txt').write_text('of the bus')
     (tmp_path / 'other').mkdir()
     (tmp_path / 'other' / 'e.json').write_text('{}')
@@ -135,7 +136,7 @@ def test_unfinished_files_are_removed_and_nothing_else(tmp_path) -> None:
         put(outbox, name)
     (tmp_path / '0' / 'b.json').unlink()
     (tmp_path / '0' / 'c.json').unlink()
-    (tmp_path / '0' / '.1234.jpg').write_bytes(b'')
+    (tmp_path / '0' / '.0123abcd.jpg').write_bytes(b'')
     outbox.remove_unfinished(['b'])
     assert names(tmp_path) == ['.outbox', '0/a.jpg', '0/a.json', '0/c.jpg']
     assert outbox.token() == token
@@ -158,3 +159,14 @@ def test_a_level_counts_the_thresholds_above(value, thresholds) -> None:
 @pytest.mark.parametrize('text', ['größe', '船', '\ud800', 'a"b'])
 def test_json_is_utf8(text) -> None:
     assert json.loads(json_bytes({'text': text}))['text'] == text.replace('\ud800', '?')
+
+
+def test_files_of_others_are_left_alone(tmp_path) -> None:
+    outbox = Outbox(tmp_path)
+    put(outbox)
+    (tmp_path / '0' / '.sync').mkdir()
+    (tmp_path / '0' / '.a.jpg.Xy12').write_bytes(b'of rsync')
+    outbox.remove_unfinished([])
+    assert sorted(path.name for path in (tmp_path / '0').iterdir()) == [
+        '.a.jpg.Xy12', '.sync', 'a.jpg', 'a.json',
+    ]

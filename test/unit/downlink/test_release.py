@@ -412,7 +412,7 @@ def test_unfinished_files_of_an_interrupted_release_are_removed(ground, monkeypa
     lost = next(each for each in ground.writer.ids(CLAIMED) if each != kept)
     level = ground.folder / 'outbox' / '0'
     (level / f'{lost}.jpg').write_bytes(b'half')
-    (level / '.abcd.json').write_bytes(b'half')
+    (level / '.0123abcd.json').write_bytes(b'half')
     ground.releaser.contact = False
     ground.steps()
     assert {path.stem for path in level.iterdir()} == {kept}
@@ -582,8 +582,11 @@ def test_an_outbox_without_chips_may_be_replaced(tmp_path) -> None:
     ground.clock.now += 100.0
     store(ground.writer, [0.9])
     ground.steps(2, 2.0)
+    assert 'outbox is missing; is it mounted? Make it if it is to be new' in ground.troubles[-1]
+    assert not (tmp_path / 'outbox').exists()
+    (tmp_path / 'outbox').mkdir()
+    ground.steps(2, 2.0)
     assert ground.out() == [0.9]
-    assert ground.troubles == []
     ground.close()
 
 
@@ -627,3 +630,51 @@ def test_every_chip_comes_down_once(tmp_path_factory, actions) -> None:
     assert status.waiting == status.in_outbox == 0
     assert len(down) + status.total('evicted') == status.counts.get('planned', 0)
     assert ground.troubles == []
+
+
+def test_a_chip_beyond_what_the_outbox_takes_holds_up_nothing(ground) -> None:
+    ground.set(max_bytes=2000.0)
+    ground.writer.store(ground.writer.plan(2), [new_chip(0.9, 5000), new_chip(0.8, 10)], {})
+    ground.steps(3, 2.0)
+    assert ground.out() == [0.8]
+    assert ground.troubles == ['all chips that wait are larger than outbox.max_bytes']
+
+
+def test_a_lost_outbox_can_be_forgotten(ground) -> None:
+    ground.set(removal=True)
+    store(ground.writer, [0.9, 0.8])
+    ground.steps(2, 2.0)
+    shutil.rmtree(ground.folder / 'outbox')
+    ground.steps(2, 2.0)
+    assert 'outbox is missing; is it mounted?' in ground.troubles[-1]
+    (ground.folder / 'outbox').mkdir()
+    ground.steps(2, 2.0)
+    assert 'obbhbb spool PATH forget-outbox' in ground.troubles[-1]
+    assert ground.status().in_outbox == 2
+    assert ground.writer.forget_outbox() == 2
+    store(ground.writer, [0.7])
+    ground.steps(2, 2.0)
+    assert ground.out() == [0.7]
+    assert ground.status().counts['evicted.outbox_lost'] == 2
+
+
+def test_another_outbox_is_told_though_nothing_waits_in_the_first(ground) -> None:
+    store(ground.writer, [0.9])
+    ground.steps()
+    (ground.folder / 'outbox').rename(ground.folder / 'aside')
+    (ground.folder / 'outbox').mkdir()
+    ground.restart()
+    ground.steps()
+    assert ground.troubles == [
+        f'{ground.folder}/outbox is another outbox than before; is it mounted?'
+    ]
+
+
+def test_the_budget_that_is_left_is_known_without_contact(ground) -> None:
+    ground.releaser.contact = False
+    ground.set(budget=BudgetSettings(bytes_per_second=100.0))
+    ground.clock.now += 0.5
+    ground.steps()
+    ground.clock.now += 0.5
+    ground.steps()
+    assert ground.releaser.available == pytest.approx(50.0)

@@ -24,6 +24,7 @@ from spooled import database
 from spooled import new_chip
 from spooled import store
 
+from obbhbb_ros.downlink import spool as spool_module
 from obbhbb_ros.downlink.catalogue import DAMAGED
 from obbhbb_ros.downlink.catalogue import SpoolError
 from obbhbb_ros.downlink.catalogue import files
@@ -279,6 +280,26 @@ def test_deleted_chips_are_counted_as_evicted(spool) -> None:
 # Size
 
 
+def test_many_are_deleted_and_revalued_in_pieces_so_that_writers_get_their_turn(
+    tmp_path, spool, troubles, monkeypatch
+) -> None:
+    monkeypatch.setattr(spool_module, '_MOST_EVICTED', 10)
+    store(spool, [0.1] * 25 + [0.9] * 5)
+    operator = Spool(tmp_path, troubles.append)
+    pieces = []
+    real = Spool._write
+    monkeypatch.setattr(
+        Spool, '_write', lambda self, work: pieces.append(1) or real(self, work)
+    )
+    assert operator.revalue('value < ?', [0.5], 2.0, 0.0) == 25
+    assert [each.value for each in spool.select()] == [0.9] * 5 + [0.2] * 25
+    assert operator.delete('value < ?', [0.5]) == 25
+    # Three pieces each, and the look that finds no more.
+    assert len(pieces) == 8
+    assert spool.status().counts['evicted.deleted'] == 25
+    operator.close()
+
+
 def test_the_least_valuable_are_evicted_the_oldest_of_equals_first(spool) -> None:
     limit = 0.5 * MB
     for number in range(9):
@@ -441,6 +462,20 @@ def test_what_cannot_be_written_down_is_counted_later(tmp_path, troubles) -> Non
         'planned': 11, 'refused.spool_failed': 7, 'refused.encoder_failed': 3
     }
     assert claim(spool) == [0.7]
+    spool.close()
+
+
+@pytest.mark.parametrize('close', [False, True])
+def test_it_is_counted_without_another_chip(tmp_path, troubles, close) -> None:
+    blocked = Blocked(tmp_path / 'spool')
+    spool = Spool(tmp_path / 'spool', troubles.append, 'writer')
+    store(spool, [0.5, 0.6])
+    blocked.unblock()
+    if close:
+        spool.close()
+    else:
+        spool.catch_up()
+    assert counts(spool).counts == {'planned': 2, 'refused.spool_failed': 2}
     spool.close()
 
 

@@ -53,3 +53,8 @@ def test_the_last_ten_thousand_are_remembered() -> None:
     assert take(stamps, (5, 0), 1) == [(5, 10_000)]
     # The first is forgotten now.
     assert take(stamps, (5, 0), 1) == [(5, 0)]
+
+
+def test_after_the_last_stamp_comes_the_first() -> None:
+    stamps = ChipStamps().of_image((2**31 - 1, 999_999_999))
+    assert [next(stamps) for _ in range(3)] == [(2**31 - 1, 999_999_999), (0, 0), (0, 1)]

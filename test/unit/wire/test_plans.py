@@ -134,12 +134,31 @@ def test_ranked_detections_have_values_for_scores_and_other_boxes(
     stamp, sources = read_sources(written)
     assert stamp == message.stamp
     assert sources == [
-        Source(values[i] if message.detections[row].results else 0.0, tuple(boxes[:, i]))
+        Source(
+            message.detections[row].id, values[i] if message.detections[row].results else 0.0,
+            tuple(boxes[:, i]),
+        )
         for i, row in enumerate(rows)
     ]
     # Other messages are written from the same bytes.
     plain = np.ones((count, 4))
     assert detections.rewrite(plain) == Detections(encode(message, order)).rewrite(plain)
+
+
+@pytest.mark.parametrize(
+    ('regions', 'sources', 'belong'),
+    [
+        (['a', 'b|c'], ['a', 'b'], True), ([], [], True), (['', ''], ['', ''], True),
+        (['a', 'b|c'], ['a', 'c'], False), (['ab'], ['a'], False), (['a', 'b'], ['a'], False),
+        (['a', 'b'], ['b', 'a'], False),
+    ],
+)
+def test_sources_are_those_of_a_plan_if_their_ids_are(regions, sources, belong) -> None:
+    plan = Plan(encode(Message(detections=tuple(Detection(id=each) for each in regions))))
+    _, found = read_sources(
+        encode(Message(detections=tuple(Detection(id=each) for each in sources)))
+    )
+    assert plan.has_sources(found) == belong
 
 
 @pytest.mark.parametrize('score', [NAN, INF, -INF])
