@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch the nodes of the payload, by choice: `ros2 launch obbhbb_ros downlink.launch.py --show-args`."""
+"""Launch the nodes, all or some: `ros2 launch obbhbb_ros downlink.launch.py --show-args`."""
 
 import os
 from collections.abc import Callable

@@ -27,8 +27,10 @@ from pathlib import Path
 from typing import BinaryIO
 
 _BOOT_ID = Path('/proc/sys/kernel/random/boot_id')
-# Far more than either file has.
+# Far more than a state file has.
 _MOST_BYTES = 1_000_000
+# More than is worth logging.
+_MOST_STACKS = 20_000
 _CRASH, _TIMEOUT = 'Fatal Python error: ', 'Timeout ('
 _SIGNAL_NAMES = {
     signal.strsignal(each): each.name
@@ -226,7 +228,7 @@ class RunRecord:
         """Learn of the run before."""
         try:
             stacks_file.seek(0)
-            stacks = stacks_file.read(_MOST_BYTES).decode(errors='replace')
+            stacks = stacks_file.read(_MOST_STACKS).decode(errors='replace')
             stacks_file.truncate(0)
             with self._path.open('rb') as file:
                 run = read_run(file.read(_MOST_BYTES))
@@ -272,7 +274,7 @@ class RunRecord:
             try:
                 with partial.open('w', encoding='utf-8') as file:
                     # Counters may be integers of NumPy.
-                    json.dump(run, file, indent=1, default=int)
+                    file.write(f'{json.dumps(run, indent=1, default=int)}\n')
                     if ended:
                         file.flush()
                         os.fsync(file.fileno())

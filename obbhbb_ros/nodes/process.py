@@ -140,8 +140,8 @@ def spin(executor: Executor, node: Node, stop: Stop, watchdog: Watchdog) -> None
     while not stop.requested and node.context.ok():
         watchdog.turns += 1
         try:
-            # The stock executor does not return when it is only woken. And the watchdog tells an idle
-            # one from a stuck one by this.
+            # The stock executor does not return when it is only woken, and the watchdog has to tell
+            # an idle one from a stuck one.
             executor.spin_once(timeout_sec=_LONGEST_WAIT)
         except ExternalShutdownException:
             return
