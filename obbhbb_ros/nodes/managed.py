@@ -111,7 +111,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         self._timer: Any = None
         self.record = RunRecord(
             self.get_parameter(STATE_PATH.name).value, self.get_fully_qualified_name(),
-            self._monitor.counts, lambda text: self._warn('state file', text),
+            self._monitor.counts, lambda text: self._warn(text, text),
         )
         self.watchdog = Watchdog(
             self.get_parameter(WATCHDOG.name).value, self.record, self.get_logger().fatal
