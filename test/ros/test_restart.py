@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import re
 import signal
-import sys
 import time
 from collections.abc import Callable
 from collections.abc import Iterator
@@ -14,13 +13,13 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
+from crashes import CRASHES
+from crashes import WATCHDOG
+from crashes import Crashing
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Converter
-from harness import Counts
-from harness import NodeProcess
 from harness import Site
 from harness import unexplained
 from harness import values_of
@@ -35,101 +34,18 @@ from obbhbb_ros.nodes.last_run import read_run
 
 Start = Callable[..., Converter]
 
-# The node as it is, but for a conversion that never returns if a file is there, which it deletes.
-STUCK = """
-import ctypes, signal, sys, time
-from pathlib import Path
-# Before libraries start threads, as the executables do.
-signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
-from obbhbb_ros.nodes import obb_to_hbb
-from obbhbb_ros.nodes.__main__ import _run
-
-trap, answer = Path(sys.argv.pop(1)), obb_to_hbb.answer
-
-def stuck_answer(*args):
-    if trap.exists():
-        trap.unlink()
-        {way}(1_000_000)
-    return answer(*args)
-
-obb_to_hbb.answer = stuck_answer
-sys.exit(_run('obb_to_hbb'))
-"""
-IN_PYTHON, IN_C = 'time.sleep', 'ctypes.PyDLL(None).sleep'
-
-
-class Crashing(Converter):
-    """A node that can be started again, with a state file, and a trap for one of its callbacks."""
-
-    def __init__(self, site: Site, folder: Path, way: str = IN_PYTHON) -> None:
-        self._folder, self._starts = folder, 0
-        self.state_file, self._trap = folder / 'state' / 'obb_to_hbb.json', folder / 'trap'
-        self._command = [sys.executable, '-c', STUCK.format(way=way), str(self._trap)]
-        super().__init__(site)
-
-    def start(self, arguments: Any = (), parameters: Any = None) -> None:
-        self._starts += 1
-        self.process = NodeProcess(
-            self._command, self._folder / f'{self._starts}.log', namespace=self.namespace,
-            parameters={'state.path': self.state_file, 'watchdog_timeout': 2.0},
-        )
-
-    def work(self) -> None:
-        """Have it count messages, and wait until its counters are in the file."""
-        self.connect()
-        for _ in range(3):
-            self.convert(detections(fleet(2)))
-
-        def is_written() -> bool:
-            run = read_run(self.state_file.read_bytes())
-            return run.counters.get('detections_received') == 6
-
-        self.wait(is_written, 'the counters in the state file')
-
-    def crash(self, how: int | None) -> None:
-        """Send a signal, or a message that it gets stuck with."""
-        if how is None:
-            self._trap.touch()
-            self.publisher.publish(detections(fleet(1)))
-        else:
-            self.process.send_signal(how)
-
-    def start_again(self) -> None:
-        """Wait for the end and do as launch does."""
-        self.ended, self.log_of_last = self.process.wait(), self.process.log
-        self.start()
-
-    def come_back(self) -> None:
-        """Wait until it answers and reports."""
-        self.connect()
-        self.report = self.next_report()
-        self.values = values_of(self.report)
-
-
-WATCHDOG = 'watchdog: no turn of the executor for 2 s, in stuck_answer, <string>:14'
-CRASHES = {
-    'killed': (signal.SIGKILL, -9, 'killed: SIGKILL, or out of memory'),
-    'crashed': (signal.SIGSEGV, -11, 'crashed: Segmentation fault (SIGSEGV)'),
-    'stuck in Python': (None, 70, WATCHDOG),
-    'stuck in C': (None, 1, 'watchdog: stuck outside Python'),
-}
-
-
 @pytest.fixture(scope='module')
 def crashed(site: Site, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Crashing]]:
     """Nodes that each have crashed in one of these ways and were started again."""
     with ExitStack() as stack:
         nodes = {
-            name: stack.enter_context(Crashing(
-                site, tmp_path_factory.mktemp('crashing'),
-                IN_C if name == 'stuck in C' else IN_PYTHON,
-            ))
-            for name in CRASHES
+            name: stack.enter_context(Crashing(site, tmp_path_factory.mktemp('crashing'), way))
+            for name, (way, _, _) in CRASHES.items()
         }
         for node in nodes.values():
             node.work()
-        for name, node in nodes.items():
-            node.crash(CRASHES[name][0])
+        for node in nodes.values():
+            node.crash()
         for node in nodes.values():
             node.start_again()
         for node in nodes.values():
@@ -169,7 +85,7 @@ def test_the_log_says_where_a_node_crashed_or_was_stuck(crashed: dict[str, Crash
 
 def test_restarts_are_counted_until_the_node_is_asked_to_end(crashed: dict[str, Crashing]) -> None:
     node = crashed['killed']
-    node.crash(signal.SIGKILL)
+    node.crash()
     node.start_again()
     node.come_back()
     assert node.values['restarts'] == '2'
@@ -189,7 +105,7 @@ def test_a_node_without_work_and_one_that_was_stopped_for_long_are_not_stuck(sta
     stopped.connect()
     assert idle.state() == 'unconfigured'
     stopped.process.send_signal(signal.SIGSTOP)
-    time.sleep(3.5)
+    time.sleep(2.7)
     stopped.process.send_signal(signal.SIGCONT)
     stopped.connect()
     assert idle.state() == 'unconfigured'
@@ -264,7 +180,6 @@ def test_a_damaged_file_and_a_full_disk_are_said_once_and_stop_nothing(
     assert node.process.log.count('directory') == 1
     assert node.process.log.count('it is damaged') == 1
     assert node.convert(detections(fleet(2))).detections
-    assert Counts(node.next_report())['messages_converted']
 
 
 RUN = Run('/n', 7, 'b', '2030-01-01', '2030-01-02', 2, 'active', '', False, {'messages': 3})
