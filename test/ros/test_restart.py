@@ -6,10 +6,12 @@ from __future__ import annotations
 import json
 import re
 import signal
+import sys
 import time
 from collections.abc import Callable
 from collections.abc import Iterator
 from contextlib import ExitStack
+from contextlib import suppress
 from dataclasses import asdict
 from dataclasses import replace
 from pathlib import Path
@@ -20,13 +22,14 @@ from crashes import WATCHDOG
 from crashes import Crashing
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Converter
+from harness import Node
+from harness import NodeProcess
 from harness import Site
 from harness import unexplained
 from harness import values_of
 from ships import detections
 from ships import fleet
 
-from obbhbb_ros.nodes.documentation import NODE_TABLES
 from obbhbb_ros.nodes.last_run import Run
 from obbhbb_ros.nodes.last_run import RunRecord
 from obbhbb_ros.nodes.last_run import end_of
@@ -127,17 +130,56 @@ def test_one_that_cannot_start_leaves_what_the_run_before_it_left(
     assert json.loads(file.read_text()) == before
 
 
+@pytest.mark.parametrize('executable', ['chip_extractor', 'downlink', 'overlay'])
+def test_every_managed_node_tells_of_its_last_run(
+    site: Site, tmp_path: Path, executable: str
+) -> None:
+    with Node(site, executable) as node:
+        file = tmp_path / 'state.json'
+        run = replace(RUN, node=f'{node.namespace}/{executable}')
+        file.write_text(json.dumps(asdict(run)))
+        parameters = {'state.path': file, 'watchdog_timeout': 5.0}
+        folders = {'spool.path': tmp_path / 'spool', 'outbox.path': tmp_path / 'outbox'}
+        node.start(parameters=parameters | (folders if executable == 'downlink' else {}))
+        report = node.next_report()
+        assert report.message.startswith('restart 3 in a row; end of the last run: the machine was')
+        values = values_of(report)
+        assert (values['restarts'], values['last_run.messages']) == ('3', '3')
+        assert not unexplained(values, f'{executable}.md')
+        assert node.process.close() == 0
+        assert read_run(file.read_bytes()).ended == 'SIGINT'
+
+
+STUCK_AT_THE_END = """
+import sys, time
+from obbhbb_ros.nodes import stop, process
+halt = stop.Stop()
+stop.RUNNING = process.RUNNING = 1.5
+from obbhbb_ros.nodes.obb_to_hbb import ObbToHbb
+ObbToHbb.destroy_node = lambda self: time.sleep(1_000_000)
+sys.exit(process.run(ObbToHbb, halt))
+"""
+
+
+def test_a_node_that_gets_stuck_over_its_end_leaves_that_behind(tmp_path: Path) -> None:
+    file = tmp_path / 'state.json'
+    command = [sys.executable, '-c', STUCK_AT_THE_END]
+    with NodeProcess(command, tmp_path / 'log', parameters={'state.path': file}) as process:
+        while not file.exists():
+            assert process.running
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait() == 1
+    run = read_run(file.read_bytes())
+    assert (run.ended, run.asked) == ('not ended 1.5 s after a signal', False)
+
+
 # Without ---------------------------------------------------------------------------------------
 
 
 def test_by_default_nothing_is_kept_and_nothing_said(node: Converter) -> None:
     keys = values_of(node.next_report())
     assert not [key for key in keys if key.startswith(('restarts', 'last_run'))]
-
-
-@pytest.mark.parametrize('executable', ['obb_to_hbb', 'chip_extractor', 'downlink', 'overlay'])
-def test_every_managed_node_takes_both_parameters(executable: str) -> None:
-    assert {'state.path', 'watchdog_timeout'} <= set(NODE_TABLES[executable].parameters())
 
 
 def test_a_timeout_that_an_idle_node_would_exceed_is_refused(site: Site) -> None:
@@ -160,7 +202,7 @@ def test_two_nodes_do_not_share_a_file(crashed: dict[str, Crashing], start: Star
     assert read_run(one.state_file.read_bytes()).node == f'{one.namespace}/obb_to_hbb'
 
 
-def test_a_damaged_file_and_a_full_disk_are_said_once_and_stop_nothing(
+def test_a_damaged_file_and_one_that_cannot_be_written_are_said_once_and_stop_nothing(
     start: Start, tmp_path: Path
 ) -> None:
     file = tmp_path / 'state.json'
@@ -171,9 +213,15 @@ def test_a_damaged_file_and_a_full_disk_are_said_once_and_stop_nothing(
     assert report.level == DiagnosticStatus.WARN
     values = values_of(report)
     assert values['last_run.ended'] == f'not known, {file} cannot be read'
-    # Nothing can be written any more.
-    file.unlink()
-    (file / 'in the way').mkdir(parents=True)
+    in_the_way = tmp_path / '.state.json'
+
+    def is_blocked() -> bool:
+        # It may be there, as the file that is about to replace the other.
+        with suppress(FileExistsError):
+            in_the_way.mkdir()
+        return in_the_way.is_dir()
+
+    node.wait(is_blocked, 'that nothing can be written any more')
     node.wait_for_log(f'state.path: {file}: ', 'directory')
     for _ in range(2):
         node.next_report()
