@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch the chain to the ground: `ros2 launch obbhbb_ros downlink.launch.py --show-args`."""
+"""Launch the nodes, all or some: `ros2 launch obbhbb_ros downlink.launch.py --show-args`."""
 
 import os
 from collections.abc import Callable
@@ -11,17 +11,19 @@ from obbhbb_ros.launching import common_arguments
 from obbhbb_ros.launching import node
 from obbhbb_ros.launching import nodes
 from obbhbb_ros.launching import params_file
+from obbhbb_ros.launching import state_file
 
 HOME = os.environ.get('ROS_HOME') or os.path.expanduser('~/.ros')
-NODES = ('obb_to_hbb', 'chip_extractor', 'downlink')
-TOPICS = ('detections', 'camera_info', 'image', 'contact')
+CHAIN = ('obb_to_hbb', 'chip_extractor', 'downlink')
+NODES = (*CHAIN, 'overlay')
+TOPICS = ('detections', 'polygons', 'camera_info', 'image', 'contact')
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the nodes, each with a parameter file of its own, in one namespace."""
     return LaunchDescription([
         *(params_file(f'{name}_params_file', name) for name in NODES),
-        argument('nodes', ' '.join(NODES), 'which nodes to start'),
+        argument('nodes', ' '.join(CHAIN), f'which nodes to start, of {", ".join(NODES)}'),
         argument(
             'spool', f'{HOME}/obbhbb/spool',
             'folder in which chips wait for contact (empty: as the parameter files say)',
@@ -51,6 +53,7 @@ def _nodes(value: Callable[[str], str]) -> list[Any]:
             [
                 value(f'{name}_params_file'),
                 *({key: folder} for key, folder in folders.get(name, {}).items() if folder),
+                *state_file(value, name),
             ],
             TOPICS,
         )

@@ -7,6 +7,7 @@ from obbhbb_ros.launching import common_arguments
 from obbhbb_ros.launching import node
 from obbhbb_ros.launching import nodes
 from obbhbb_ros.launching import params_file
+from obbhbb_ros.launching import state_file
 
 TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions')
 
@@ -20,7 +21,8 @@ def generate_launch_description() -> LaunchDescription:
         *common_arguments(),
         nodes(lambda value: [
             node(
-                value, 'obb_to_hbb', value('name'), [value('params_file')], TOPICS
+                value, 'obb_to_hbb', value('name'),
+                [value('params_file'), *state_file(value, value('name'))], TOPICS,
             ),
         ]),
     ])

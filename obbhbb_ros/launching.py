@@ -36,12 +36,23 @@ def common_arguments() -> list[Any]:
         argument('log_level', 'info', 'log level'),
         argument('respawn', 'true', 'start a node again when it ends by itself'),
         argument('respawn_delay', '1.0', 'seconds before that'),
+        argument(
+            'state', '',
+            'folder in which each run of a node tells the next one how it ended (empty: as the '
+            'parameter files say)',
+        ),
         argument('large_messages', 'false', 'use the DDS profile for messages over 0.5 MB'),
         SetEnvironmentVariable(
             'FASTRTPS_DEFAULT_PROFILES_FILE', f'{share}/config/fastdds_large.xml',
             condition=IfCondition(LaunchConfiguration('large_messages')),
         ),
     ]
+
+
+def state_file(value: Any, name: str) -> list[dict[str, str]]:
+    """Give the parameter for the state file of a node, if there is a folder for it."""
+    folder = value('state')
+    return [{'state.path': f'{folder}/{name}.json'}] if folder else []
 
 
 def nodes(make: Any) -> Any:

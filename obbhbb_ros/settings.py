@@ -291,6 +291,18 @@ INPUT_TIMEOUT = Parameter(
 HARDWARE_ID = Parameter(
     'hardware_id', '', "hardware_id in the diagnostics (empty: the node's full name).",
 )
+STATE_PATH = Parameter(
+    'state.path', '',
+    'File that tells the next run how this one ended, and its counters; each node needs one of its '
+    'own (empty: none).',
+    read_only=True,
+)
+WATCHDOG = Parameter(
+    'watchdog_timeout', 0.0,
+    'Seconds without a turn of the executor, 2 or more, after which the process ends with exit '
+    'code 70, to be started again (0: never).',
+    0.0, 1e6, read_only=True,
+)
 _INPUT_TYPE = Parameter(
     'input_type', next(iter(INPUT_TYPES)),
     'Message type of the input; the topic is '
@@ -458,6 +470,8 @@ OBB_TO_HBB = ParameterTable(
         LOCK,
         INPUT_TIMEOUT,
         HARDWARE_ID,
+        STATE_PATH,
+        WATCHDOG,
         _INPUT_TYPE,
         Parameter('method', HullRule.method, 'Conversion rule.', choices=ONBOARD_METHODS),
         Parameter(
@@ -674,6 +688,8 @@ CHIP_EXTRACTOR = ParameterTable(
         LOCK,
         INPUT_TIMEOUT,
         HARDWARE_ID,
+        STATE_PATH,
+        WATCHDOG,
         Parameter(
             'codec', CodecSettings.codec, 'File format of the chips.', choices=tuple(CODECS)
         ),
@@ -781,6 +797,8 @@ DOWNLINK = ParameterTable(
         AUTOSTART,
         LOCK,
         HARDWARE_ID,
+        STATE_PATH,
+        WATCHDOG,
         Parameter(
             'contact', 'always',
             'When chips are released: always, or while the topic `contact` says so.',
@@ -866,6 +884,8 @@ OVERLAY = ParameterTable(
         LOCK,
         INPUT_TIMEOUT,
         HARDWARE_ID,
+        STATE_PATH,
+        WATCHDOG,
         _INPUT_TYPE,
         *_INPUT_COORDINATES,
         Parameter(

@@ -25,18 +25,24 @@ from rclpy.qos import ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from obbhbb_ros.nodes import internals
+from obbhbb_ros.nodes.last_run import RunRecord
 from obbhbb_ros.nodes.monitor import PERIOD
 from obbhbb_ros.nodes.monitor import Monitor
 from obbhbb_ros.nodes.parameters import LiveParameters
 from obbhbb_ros.nodes.process import StartError
+from obbhbb_ros.nodes.watchdog import Watchdog
 from obbhbb_ros.settings import AUTOSTART
 from obbhbb_ros.settings import INPUT_TIMEOUT
+from obbhbb_ros.settings import STATE_PATH
+from obbhbb_ros.settings import WATCHDOG
 from obbhbb_ros.settings import ParameterTable
 from obbhbb_ros.settings import SettingsT
 from obbhbb_ros.wire.layouts import InputType
 
 _DEPTH = 10
 _WARN_PERIOD = 5.0
+# Who subscribes to the diagnostics has to discover a node that is back before it hears of it.
+_RESTART_REPORTS = 10
 
 def message_type(input_type: InputType) -> Any:
     """
@@ -62,6 +68,13 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
 
     A node creates its topics in `_create_topics` and drops its collected data in `_forget`;
     it calls `_autostart` at the end of its own `__init__`.
+
+    Attributes
+    ----------
+    record : RunRecord
+        What this run leaves to the next one.
+    watchdog : Watchdog
+        Notices a callback that does not return; runs from here on.
 
     Parameters
     ----------
@@ -96,6 +109,15 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         self._inputs: list[Any] = []
         self._diagnostics_publisher: Any = None
         self._timer: Any = None
+        self.record = RunRecord(
+            self.get_parameter(STATE_PATH.name).value, self.get_fully_qualified_name(),
+            self._monitor.counts, lambda text: self._warn(text, text),
+        )
+        self.watchdog = Watchdog(
+            self.get_parameter(WATCHDOG.name).value, self.record, self.get_logger().fatal
+        )
+        self._restart_reports = 0
+        self._tell_of_last_run()
         internals.refuse_impossible_transitions(self, self.get_logger().error)
 
     @abstractmethod
@@ -113,18 +135,21 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         """
         Go to the active state without a lifecycle manager, if `autostart` is set.
 
+        From here on the run counts as one.
+
         Raises
         ------
         StartError
             If the node cannot be configured or activated.
         """
-        if not self.get_parameter(AUTOSTART.name).value:
-            return
-        for name, transition in (
-            ('configure', self.trigger_configure), ('activate', self.trigger_activate)
-        ):
-            if transition() != TransitionCallbackReturn.SUCCESS:
-                raise StartError(f'{self.get_name()} failed to {name}; the log says why')
+        if self.get_parameter(AUTOSTART.name).value:
+            for name, transition in (
+                ('configure', self.trigger_configure), ('activate', self.trigger_activate)
+            ):
+                if transition() != TransitionCallbackReturn.SUCCESS:
+                    raise StartError(f'{self.get_name()} failed to {name}; the log says why')
+        # One that cannot start leaves what the run before it left.
+        self.record.note(internals.state_label(self))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Create the topics; messages are ignored until activation."""
@@ -290,5 +315,26 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         """Publish the state, counters and parameters."""
         state = internals.state_label(self)
         values: Mapping[str, Any] = self._parameters_in_force.notable_values()
-        report = self._monitor.report(state, values, self._facts(), self._silent_for(values))
+        if self._restart_reports:
+            self._restart_reports -= 1
+            self._monitor.remind(self.record.restart)
+        facts = {**self._facts(), **self._last_run_facts()}
+        report = self._monitor.report(state, values, facts, self._silent_for(values))
         self._diagnostics_publisher.publish(report)
+        self.record.note(state)
+
+    def _tell_of_last_run(self) -> None:
+        """Say in the log that this is a restart, and prepare to say so in the diagnostics."""
+        if self.record.restart:
+            self._restart_reports = _RESTART_REPORTS
+            self.get_logger().warning(self.record.restart)
+            if self.record.stacks:
+                self.get_logger().warning(f'stacks of the last run:\n{self.record.stacks}')
+
+    def _last_run_facts(self) -> dict[str, str]:
+        """Report the run before, if there is a state file."""
+        if not self.record.is_kept:
+            return {}
+        facts = {'restarts': str(self.record.restarts)}
+        facts.update({f'last_run.{name}': text for name, text in self.record.last.items()})
+        return facts

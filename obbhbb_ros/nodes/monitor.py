@@ -69,6 +69,10 @@ class Monitor:
         """Remember what went wrong, for the next report."""
         self._trouble = text
 
+    def remind(self, text: str) -> None:
+        """Say something in the next report, unless something has gone wrong since."""
+        self._trouble = self._trouble or text
+
     def report(
         self,
         state: str,

@@ -21,9 +21,11 @@ from rclpy.signals import SignalHandlerOptions
 
 from obbhbb_ros.nodes.executor import ExpressExecutor
 from obbhbb_ros.nodes.executor import UnknownRclpyError
+from obbhbb_ros.nodes.last_run import RunRecord
 from obbhbb_ros.nodes.stop import RUNNING
 from obbhbb_ros.nodes.stop import STARTING
 from obbhbb_ros.nodes.stop import Stop
+from obbhbb_ros.nodes.watchdog import Watchdog
 
 _LONGEST_WAIT = 1.0
 
@@ -68,17 +70,32 @@ def run(make_node: Callable[[], Node], stop: Stop, args: Sequence[str] | None = 
         rclpy.try_shutdown()
         print(f'cannot start: {error}', file=sys.stderr)
         return 1
-    executor = executor_for(node)
+    # The player has none.
+    record: RunRecord = getattr(node, 'record', None) or RunRecord()
+    stop.on_leaving = record.end
     stop.patience = RUNNING
+    try:
+        _live(node, stop)
+    except BaseException as error:
+        record.end(f'{type(error).__name__}: {error}')
+        raise
+    record.end(stop.name or 'shutdown', asked=True)
+    return 0
+
+
+def _live(node: Node, stop: Stop) -> None:
+    """Spin a node until asked to stop, then destroy it."""
+    executor = executor_for(node)
+    watchdog: Watchdog = getattr(node, 'watchdog', None) or Watchdog()
     stop.wake_by(executor.wake)
     try:
-        spin(executor, node, stop)
+        spin(executor, node, stop, watchdog)
     finally:
+        watchdog.stop()
         stop.wake_by(None)
         executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
-    return 0
 
 
 def never_wait_to_log() -> None:
@@ -115,14 +132,16 @@ def executor_for(node: Node) -> Executor:
     return executor
 
 
-def spin(executor: Executor, node: Node, stop: Stop) -> None:
+def spin(executor: Executor, node: Node, stop: Stop, watchdog: Watchdog) -> None:
     """Spin until asked to stop; errors in callbacks are logged and survived."""
     # What lives by now lives to the end: a collection that looks through all of it takes 18 ms.
     gc.collect()
     gc.freeze()
     while not stop.requested and node.context.ok():
+        watchdog.turns += 1
         try:
-            # The stock executor does not return when it is only woken.
+            # The stock executor does not return when it is only woken, and the watchdog has to tell
+            # an idle one from a stuck one.
             executor.spin_once(timeout_sec=_LONGEST_WAIT)
         except ExternalShutdownException:
             return

@@ -9,8 +9,9 @@ from launch_files import launched
 ROOT = Path(__file__).parents[2]
 CONVERTER = ROOT / 'launch' / 'obb_to_hbb.launch.py'
 DOWNLINK = ROOT / 'launch' / 'downlink.launch.py'
-NODES = ('obb_to_hbb', 'chip_extractor', 'downlink')
-CHAIN_TOPICS = ('detections', 'camera_info', 'image', 'contact')
+CHAIN = ('obb_to_hbb', 'chip_extractor', 'downlink')
+NODES = (*CHAIN, 'overlay')
+CHAIN_TOPICS = ('detections', 'polygons', 'camera_info', 'image', 'contact')
 TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions')
 LARGE = 'config/fastdds_large.xml'
 
@@ -22,6 +23,7 @@ def test_the_conversion_node_is_launched_as_it_is() -> None:
     assert node.remaps == itself | {topic: topic for topic in TOPICS}
     assert node.values('--params-file') == ['config/obb_to_hbb.yaml']
     assert node.values('--log-level') == ['info']
+    assert node.parameters == {}
     assert node.profile is None
     assert node.respawn
 
@@ -33,7 +35,7 @@ def test_every_argument_of_the_conversion_node_counts(tmp_path: Path) -> None:
     given = {
         'params_file': str(file), 'name': 'ships', 'namespace': 'sat/payload',
         'log_level': 'warn', 'large_messages': 'true', **topics,
-        'respawn': 'false', 'respawn_delay': '0.5',
+        'respawn': 'false', 'respawn_delay': '0.5', 'state': '/data/state',
     }
     ran = launched(CONVERTER, given)
     assert set(ran.declared) == set(given)
@@ -42,6 +44,7 @@ def test_every_argument_of_the_conversion_node_counts(tmp_path: Path) -> None:
     assert node.remaps == {'__node': 'ships', '__ns': '/sat/payload', **topics}
     assert node.values('--params-file') == [str(file)]
     assert node.values('--log-level') == ['warn']
+    assert node.parameters == {'state.path': '/data/state/ships.json'}
     assert node.profile == LARGE
     assert not node.respawn
 
@@ -49,7 +52,7 @@ def test_every_argument_of_the_conversion_node_counts(tmp_path: Path) -> None:
 def test_the_downlink_is_three_nodes_each_with_its_parameters(monkeypatch) -> None:
     monkeypatch.setenv('ROS_HOME', '/home/of/ros')
     ran = launched(DOWNLINK).started
-    assert [node.executable for node in ran] == sorted(NODES)
+    assert [node.executable for node in ran] == sorted(CHAIN)
     spool, outbox = '/home/of/ros/obbhbb/spool', '/home/of/ros/obbhbb/outbox'
     folders = {
         'chip_extractor': {'spool.path': spool}, 'obb_to_hbb': {},
@@ -72,7 +75,7 @@ def test_every_argument_of_the_downlink_counts(tmp_path: Path) -> None:
     given = {
         'nodes': ' '.join(NODES), 'namespace': 'payload', 'large_messages': 'true',
         'spool': '/data/spool', 'outbox': '/data/outbox', 'log_level': 'debug',
-        'respawn': 'false', 'respawn_delay': '2.0', **topics,
+        'respawn': 'false', 'respawn_delay': '2.0', 'state': '/data/state', **topics,
         **{f'{name}_params_file': str(file) for name, file in files.items()},
     }
     ran = launched(DOWNLINK, given)
@@ -84,8 +87,17 @@ def test_every_argument_of_the_downlink_counts(tmp_path: Path) -> None:
         assert node.values('--params-file') == [str(files[node.executable])]
         assert node.values('--log-level') == ['debug']
         assert node.parameters.get('spool.path', '/data/spool') == '/data/spool'
+        assert node.parameters['state.path'] == f'/data/state/{node.executable}.json'
         assert node.profile == LARGE
         assert not node.respawn
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_each_node_can_be_launched_alone(name: str) -> None:
+    (node,) = launched(DOWNLINK, {'nodes': name}).started
+    assert node.executable == node.remaps['__node'] == name
+    assert node.values('--params-file') == [f'config/{name}.yaml']
+    assert node.respawn
 
 
 def test_nodes_are_launched_by_choice() -> None:
@@ -104,3 +116,8 @@ def test_what_a_launch_file_takes_by_default_exists(file: Path) -> None:
 
 def test_every_launch_file_is_tested_here() -> None:
     assert {*(ROOT / 'launch').glob('*.py')} == {CONVERTER, DOWNLINK}
+
+
+def test_a_node_that_there_is_not_is_not_launched() -> None:
+    with pytest.raises((ValueError, AssertionError), match='nodes: overlays is none of obb_to_hbb'):
+        launched(DOWNLINK, {'nodes': 'downlink overlays'})

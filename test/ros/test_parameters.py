@@ -49,13 +49,13 @@ CONTRACT = {
     'crop.multiple_of', 'crop.merge_max_size', 'crop.max_count', 'crop.max_pixels',
     'crop.compare_outer', 'lock_parameters', 'crop.q', 'crop.min_score', 'clip_boxes',
     'input_width', 'input_height', 'input_fit', 'input_timeout', 'hardware_id', 'heading',
-    'q_bow', 'q_stern',
+    'q_bow', 'q_stern', 'state.path', 'watchdog_timeout',
 }
 OVERLAY_CONTRACT = {
     'autostart', 'lock_parameters', 'input_timeout', 'hardware_id', 'input_type', 'angle_unit',
     'input_width', 'input_height', 'input_fit', 'layers', 'labels', 'scale', 'quality',
     'line_width', 'text_size', 'max_wait', 'max_age', 'max_images', 'color.detections',
-    'color.boxes', 'color.crop_regions',
+    'color.boxes', 'color.crop_regions', 'state.path', 'watchdog_timeout',
 }
 
 SHIPS = fleet(8)

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Crashes and stuck callbacks: the node ends, comes back, and says what happened to it."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import sys
+import time
+from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import ExitStack
+from contextlib import suppress
+from dataclasses import asdict
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from crashes import CRASHES
+from crashes import WATCHDOG
+from crashes import Crashing
+from diagnostic_msgs.msg import DiagnosticStatus
+from harness import Converter
+from harness import Node
+from harness import NodeProcess
+from harness import Site
+from harness import unexplained
+from harness import values_of
+from ships import detections
+from ships import fleet
+
+from obbhbb_ros.nodes.last_run import Run
+from obbhbb_ros.nodes.last_run import RunRecord
+from obbhbb_ros.nodes.last_run import end_of
+from obbhbb_ros.nodes.last_run import read_run
+
+Start = Callable[..., Converter]
+
+@pytest.fixture(scope='module')
+def crashed(site: Site, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Crashing]]:
+    """Nodes that each have crashed in one of these ways and were started again."""
+    with ExitStack() as stack:
+        nodes = {
+            name: stack.enter_context(Crashing(site, tmp_path_factory.mktemp('crashing'), way))
+            for name, (way, _, _) in CRASHES.items()
+        }
+        for node in nodes.values():
+            node.work()
+        for node in nodes.values():
+            node.crash()
+        for node in nodes.values():
+            node.start_again()
+        for node in nodes.values():
+            node.come_back()
+        yield nodes
+
+
+# What happened ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('name', CRASHES)
+def test_after_a_crash_the_node_answers_and_says_why_the_last_run_ended(
+    crashed: dict[str, Crashing], name: str
+) -> None:
+    node = crashed[name]
+    _, code, why = CRASHES[name]
+    assert node.ended == code
+    assert node.values['last_run.ended'] == why
+    assert node.values['last_run.detections_received'] == '6'
+    assert (node.values['restarts'], node.values['last_run.state']) == ('1', 'active')
+    assert node.report.level == DiagnosticStatus.WARN
+    said = f'restart 1 in a row; end of the last run: {why}'
+    assert node.report.message == said
+    node.wait_for_log('[WARN]', said)
+    assert not unexplained(node.values, 'obb_to_hbb.md')
+    assert node.convert(detections(fleet(2))).detections
+
+
+def test_the_log_says_where_a_node_crashed_or_was_stuck(crashed: dict[str, Crashing]) -> None:
+    where = re.compile(r'stacks of the last run:\n.*line \d+ in (spin|stuck_answer)', re.DOTALL)
+    assert where.search(crashed['crashed'].process.log)
+    assert where.search(crashed['stuck in C'].process.log)
+    # It was there at once.
+    assert 'line 14 in stuck_answer' in crashed['stuck in Python'].log_of_last
+    assert re.search(rf'\[FATAL\].*: {WATCHDOG}', crashed['stuck in Python'].log_of_last)
+
+
+def test_restarts_are_counted_until_the_node_is_asked_to_end(crashed: dict[str, Crashing]) -> None:
+    node = crashed['killed']
+    node.crash()
+    node.start_again()
+    node.come_back()
+    assert node.values['restarts'] == '2'
+    node.process.send_signal(signal.SIGTERM)
+    node.start_again()
+    node.come_back()
+    assert node.ended == 0
+    assert (node.values['restarts'], node.values['last_run.ended']) == ('0', 'SIGTERM')
+    assert node.report.level == DiagnosticStatus.OK
+    assert node.process.log == ''
+
+
+def test_a_node_without_work_and_one_that_was_stopped_for_long_are_not_stuck(start: Start) -> None:
+    parameters = {'watchdog_timeout': 2.0}
+    idle = start(parameters=parameters | {'autostart': False})
+    stopped = start(parameters=parameters)
+    stopped.connect()
+    assert idle.state() == 'unconfigured'
+    stopped.process.send_signal(signal.SIGSTOP)
+    time.sleep(2.7)
+    stopped.process.send_signal(signal.SIGCONT)
+    stopped.connect()
+    assert idle.state() == 'unconfigured'
+    assert idle.process.log == stopped.process.log == ''
+
+
+def test_one_that_cannot_start_leaves_what_the_run_before_it_left(
+    site: Site, tmp_path: Path
+) -> None:
+    file = tmp_path / 'state.json'
+    before = asdict(replace(RUN, counters={'chips_stored': 7}))
+    file.write_text(json.dumps(before))
+    parameters = {
+        'state.path': file, 'qos_overrides./boxes.publisher.reliability': 'perhaps',
+    }
+    with site.start('obb_to_hbb', parameters=parameters) as process:
+        assert process.wait() == 1
+        assert 'cannot start' in process.log
+    assert json.loads(file.read_text()) == before
+
+
+@pytest.mark.parametrize('executable', ['chip_extractor', 'downlink', 'overlay'])
+def test_every_managed_node_tells_of_its_last_run(
+    site: Site, tmp_path: Path, executable: str
+) -> None:
+    with Node(site, executable) as node:
+        file = tmp_path / 'state.json'
+        run = replace(RUN, node=f'{node.namespace}/{executable}')
+        file.write_text(json.dumps(asdict(run)))
+        parameters = {'state.path': file, 'watchdog_timeout': 5.0}
+        folders = {'spool.path': tmp_path / 'spool', 'outbox.path': tmp_path / 'outbox'}
+        node.start(parameters=parameters | (folders if executable == 'downlink' else {}))
+        report = node.next_report()
+        assert report.message.startswith('restart 3 in a row; end of the last run: the machine was')
+        values = values_of(report)
+        assert (values['restarts'], values['last_run.messages']) == ('3', '3')
+        assert not unexplained(values, f'{executable}.md')
+        assert node.process.close() == 0
+        assert read_run(file.read_bytes()).ended == 'SIGINT'
+
+
+STUCK_AT_THE_END = """
+import sys, time
+from obbhbb_ros.nodes import stop, process
+halt = stop.Stop()
+stop.RUNNING = process.RUNNING = 1.5
+from obbhbb_ros.nodes.obb_to_hbb import ObbToHbb
+ObbToHbb.destroy_node = lambda self: time.sleep(1_000_000)
+sys.exit(process.run(ObbToHbb, halt))
+"""
+
+
+def test_a_node_that_gets_stuck_over_its_end_leaves_that_behind(tmp_path: Path) -> None:
+    file = tmp_path / 'state.json'
+    command = [sys.executable, '-c', STUCK_AT_THE_END]
+    with NodeProcess(command, tmp_path / 'log', parameters={'state.path': file}) as process:
+        while not file.exists():
+            assert process.running
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait() == 1
+    run = read_run(file.read_bytes())
+    assert (run.ended, run.asked) == ('not ended 1.5 s after a signal', False)
+
+
+# Without ---------------------------------------------------------------------------------------
+
+
+def test_by_default_nothing_is_kept_and_nothing_said(node: Converter) -> None:
+    keys = values_of(node.next_report())
+    assert not [key for key in keys if key.startswith(('restarts', 'last_run'))]
+
+
+def test_a_timeout_that_an_idle_node_would_exceed_is_refused(site: Site) -> None:
+    with site.start('obb_to_hbb', parameters={'watchdog_timeout': 0.5}) as process:
+        assert process.wait() == 1
+        assert process.log == (
+            'cannot start: watchdog_timeout must be 0, or 2 or more, not 0.5\n'
+        )
+
+
+# State files that cannot be used ---------------------------------------------------------------
+
+
+def test_two_nodes_do_not_share_a_file(crashed: dict[str, Crashing], start: Start) -> None:
+    one = crashed['crashed']
+    other = start(parameters={'state.path': one.state_file})
+    other.connect()
+    other.wait_for_log(f'state.path: {one.state_file}: in use by another node')
+    assert 'restarts' not in values_of(other.next_report())
+    assert read_run(one.state_file.read_bytes()).node == f'{one.namespace}/obb_to_hbb'
+
+
+def test_a_damaged_file_and_one_that_cannot_be_written_are_said_once_and_stop_nothing(
+    start: Start, tmp_path: Path
+) -> None:
+    file = tmp_path / 'state.json'
+    file.write_bytes(b'{"node": ')
+    node = start(parameters={'state.path': file})
+    node.connect()
+    report = node.next_report()
+    assert report.level == DiagnosticStatus.WARN
+    values = values_of(report)
+    assert values['last_run.ended'] == f'not known, {file} cannot be read'
+    in_the_way = tmp_path / '.state.json'
+
+    def is_blocked() -> bool:
+        # It may be there, as the file that is about to replace the other.
+        with suppress(FileExistsError):
+            in_the_way.mkdir()
+        return in_the_way.is_dir()
+
+    node.wait(is_blocked, 'that nothing can be written any more')
+    node.wait_for_log(f'state.path: {file}: ', 'directory')
+    for _ in range(2):
+        node.next_report()
+    assert node.process.log.count('directory') == 1
+    assert node.process.log.count('it is damaged') == 1
+    assert node.convert(detections(fleet(2))).detections
+
+
+RUN = Run('/n', 7, 'b', '2030-01-01', '2030-01-02', 2, 'active', '', False, {'messages': 3})
+DAMAGED = {
+    'empty': b'', 'cut': json.dumps(asdict(RUN)).encode()[:-9], 'a list': b'[]', 'nul': bytes(99),
+    'nested': b'[' * 100_000, 'not text': b'\xff\xfe', 'a number': b'9' * 5000,
+    'half a character': json.dumps(asdict(replace(RUN, state='\ud800'))).encode(),
+    'no field': b'{}', 'another type': json.dumps(asdict(RUN) | {'pid': '7'}).encode(),
+    'no counter': json.dumps(asdict(RUN) | {'counters': {'messages': 'many'}}).encode(),
+}
+
+
+@pytest.mark.parametrize('data', DAMAGED.values(), ids=DAMAGED)
+def test_a_damaged_file_is_told_from_a_good_one(data: bytes) -> None:
+    with pytest.raises(ValueError, match='not the state of a run'):
+        read_run(data)
+    assert read_run(json.dumps(asdict(RUN)).encode()) == RUN
+
+
+@pytest.mark.parametrize(
+    ('run', 'stacks', 'boot', 'end'),
+    [
+        (RUN, '', 'b', ('killed: SIGKILL, or out of memory', False)),
+        (RUN, '', 'c', ('the machine was restarted: a power cut or a reset', False)),
+        (RUN, 'Fatal Python error: Aborted\n\n', 'b', ('crashed: Aborted (SIGABRT)', False)),
+        (RUN, 'Timeout (0:00:04)!\n', 'b', ('watchdog: stuck outside Python', False)),
+        (replace(RUN, ended='SIGINT', asked=True), '', 'c', ('SIGINT', True)),
+        (replace(RUN, ended='OSError: x'), '', 'b', ('OSError: x', False)),
+        (replace(RUN, ended='SIGINT', asked=True), 'Fatal Python error: Bus error\n', 'b',
+         ('crashed: Bus error (SIGBUS)', False)),
+    ],
+)
+def test_the_end_of_a_run_is_found_out(
+    run: Run, stacks: str, boot: str, end: tuple[str, bool]
+) -> None:
+    assert end_of(run, stacks, boot) == end
+
+
+@pytest.mark.parametrize('path', ['/', '.', '/dev/null', '/dev/null/x', 'a\0b', '/proc/x'])
+def test_a_path_that_cannot_be_a_file_is_told(path: str) -> None:
+    told: list[str] = []
+    record = RunRecord(path, '/n', {}, told.append)
+    record.note('active')
+    record.end('SIGINT', asked=True)
+    (text,) = told
+    assert text.startswith(f'state.path: {path}: ')
+    assert not record.is_kept
