@@ -5,9 +5,12 @@ from __future__ import annotations
 
 import signal
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Converter
 from harness import NodeProcess
 from harness import Site
@@ -61,6 +64,7 @@ class Crashing(Converter):
 
     def start(self, arguments: Any = (), parameters: Any = None) -> None:
         self._starts += 1
+        self._started = time.time()
         self.process = NodeProcess(
             self._command, self._folder / f'{self._starts}.log', namespace=self.namespace,
             parameters={'state.path': self.state_file, 'watchdog_timeout': 2.0},
@@ -94,5 +98,13 @@ class Crashing(Converter):
     def come_back(self) -> None:
         """Wait until it answers and reports."""
         self.connect()
-        self.report = self.next_report()
+
+        def reports_of_this_run() -> Iterator[DiagnosticStatus]:
+            # Those of the run before may still be on their way.
+            for report in self.reports():
+                stamp = report.header.stamp
+                if stamp.sec + stamp.nanosec * 1e-9 > self._started:
+                    yield report.status[0]
+
+        self.report = self.wait_for(reports_of_this_run, 'a report of this run')
         self.values = values_of(self.report)

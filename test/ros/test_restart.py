@@ -112,7 +112,10 @@ def test_a_node_without_work_and_one_that_was_stopped_for_long_are_not_stuck(sta
     stopped.process.send_signal(signal.SIGCONT)
     stopped.connect()
     assert idle.state() == 'unconfigured'
-    assert idle.process.log == stopped.process.log == ''
+    for node in (idle, stopped):
+        assert node.process.running
+        # Messages to one that is stopped may be lost, and it says so.
+        assert not re.search('watchdog|Timeout', node.process.log)
 
 
 def test_one_that_cannot_start_leaves_what_the_run_before_it_left(
