@@ -17,6 +17,9 @@ from obbhbb_ros.methods import ONBOARD_METHODS
 from obbhbb_ros.nodes.demo import boxes_by_method
 from obbhbb_ros.study.harbour import harbour
 
+# What it tests depends on rclpy, which is the same in all environments.
+pytestmark = pytest.mark.once
+
 
 def test_the_node_converts_with_every_method(site: Site) -> None:
     labels = harbour()

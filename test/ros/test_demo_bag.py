@@ -22,6 +22,9 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.images import find_images
 from obbhbb_ros.methods import ONBOARD_METHODS
 
+# What it tests depends on rclpy, which is the same in all environments.
+pytestmark = pytest.mark.once
+
 pytest.importorskip('matplotlib')
 pytest.importorskip('PIL')
 rosbag2 = pytest.importorskip('rosbags.rosbag2')

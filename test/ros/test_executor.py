@@ -27,6 +27,9 @@ from obbhbb_ros.nodes import process
 from obbhbb_ros.nodes.executor import ExpressExecutor
 from obbhbb_ros.nodes.executor import UnknownRclpyError
 
+# What it tests depends on rclpy, which is the same in all environments.
+pytestmark = pytest.mark.once
+
 DEEP = QoSProfile(depth=100)
 SECONDS = 20.0
 

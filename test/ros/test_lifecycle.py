@@ -21,6 +21,9 @@ from ships import fleet
 from ships import rows_of
 from vision_msgs.msg import Detection2DArray
 
+# What it tests depends on rclpy, which is the same in all environments.
+pytestmark = pytest.mark.once
+
 Start = Callable[..., Converter]
 
 CONFIGURE = Transition.TRANSITION_CONFIGURE

@@ -39,6 +39,9 @@ from obbhbb_ros.settings import OBB_TO_HBB
 from obbhbb_ros.settings import OVERLAY
 from obbhbb_ros.settings import read_values
 
+# What it tests depends on rclpy, which is the same in all environments.
+pytestmark = pytest.mark.once
+
 ROOT = Path(__file__).parents[2]
 Values = Mapping[str, Any]
 

@@ -39,6 +39,9 @@ from obbhbb_ros.converter import Caps
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.settings import OBB_TO_HBB
 
+# What it tests depends on rclpy, which is the same in all environments.
+pytestmark = pytest.mark.once
+
 Start = Callable[..., Converter]
 
 CONFIG = Path(__file__).parents[2] / 'config'

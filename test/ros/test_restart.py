@@ -35,6 +35,9 @@ from obbhbb_ros.nodes.last_run import RunRecord
 from obbhbb_ros.nodes.last_run import end_of
 from obbhbb_ros.nodes.last_run import read_run
 
+# What it tests depends on rclpy, which is the same in all environments.
+pytestmark = pytest.mark.once
+
 Start = Callable[..., Converter]
 
 @pytest.fixture(scope='module')

@@ -15,6 +15,9 @@ from sensor_msgs.msg import CompressedImage
 
 from obbhbb_ros.nodes.documentation import NODE_TABLES
 
+# What it tests depends on rclpy, which is the same in all environments.
+pytestmark = pytest.mark.once
+
 POLICY = ElementTree.parse(Path(__file__).parents[2] / 'config' / 'security' / 'policy.xml')
 NODES = ('obb_to_hbb', 'chip_extractor', 'downlink', 'overlay')
 

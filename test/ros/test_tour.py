@@ -17,6 +17,9 @@ from harness import Site
 
 from obbhbb_ros.colors import LAYER_COLORS
 
+# What it tests depends on rclpy, which is the same in all environments.
+pytestmark = pytest.mark.once
+
 pytest.importorskip('matplotlib')
 pytest.importorskip('rosbags')
 Image = pytest.importorskip('PIL.Image')
