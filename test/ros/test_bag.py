@@ -184,7 +184,14 @@ def test_the_bag_that_comes_with_the_tests_is_what_the_player_sends() -> None:
     messages = [detections_message(each, Header()) for each in read_labels(DATA / 'real_ships.csv')]
     for (_, data), message in zip(found, messages, strict=True):
         recorded = deserialize_message(data, Detection2DArray)
-        message.header = recorded.header
-        for each in message.detections:
-            each.header = recorded.header
-        assert recorded == message
+        assert len(recorded.detections) == len(message.detections)
+        for ours, theirs in zip(message.detections, recorded.detections, strict=True):
+            assert (ours.id, ours.results) == (theirs.id, theirs.results)
+            # The last bit of an angle depends on the version of NumPy.
+            assert box_of(ours) == pytest.approx(box_of(theirs), rel=1e-12)
+
+
+def box_of(detection: Any) -> tuple[float, ...]:
+    box = detection.bbox
+    center = box.center
+    return center.position.x, center.position.y, center.theta, box.size_x, box.size_y
