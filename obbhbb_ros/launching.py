@@ -51,8 +51,8 @@ def common_arguments() -> list[Any]:
 
 def state_file(value: Any, name: str) -> list[dict[str, str]]:
     """Give the parameter for the state file of a node, if there is a folder for it."""
-    folder = value('state')
-    return [{'state.path': f'{folder}/{name}.json'}] if folder else []
+    folder = '/'.join(filter(None, (value('state'), value('namespace').strip('/'))))
+    return [{'state.path': f'{folder}/{name}.json'}] if value('state') else []
 
 
 def nodes(make: Any) -> Any:

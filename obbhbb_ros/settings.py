@@ -293,8 +293,8 @@ HARDWARE_ID = Parameter(
 )
 STATE_PATH = Parameter(
     'state.path', '',
-    'File that tells the next run how this one ended, and its counters; each node needs one of its '
-    'own (empty: none).',
+    'File that tells the next run how this one ended, and its counters, as an absolute path; each '
+    'node needs one of its own (empty: none).',
     read_only=True,
 )
 WATCHDOG = Parameter(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import glob
 import re
 import shutil
 import sqlite3
@@ -47,6 +48,8 @@ _SUFFIXES = ('.mcap', '.db3')
 # Opcode, length, first and last time, size, checksum, length of the compression's name.
 _CHUNK_HEAD = struct.Struct('<BQQQQII')
 _MOST_OF_A_CHUNK = 2**26
+# Bytes of a chunk that are decompressed at once.
+_PIECE = 256
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 
 Report: TypeAlias = Callable[[str], None]
@@ -66,7 +69,10 @@ class _Topic(NamedTuple):
 def storage_files(source: Path) -> list[Path]:
     """List the storage files of a bag in their order."""
     found = source.iterdir() if source.is_dir() else [source]
-    files = [each for each in found if any(suffix in each.suffixes for suffix in _SUFFIXES)]
+    files = [
+        each for each in found
+        if each.is_file() and any(suffix in each.suffixes for suffix in _SUFFIXES)
+    ]
     return sorted(
         (each for each in files if each.suffix in (*_SUFFIXES, '.zstd')),
         key=lambda path: [int(part) if part.isdigit() else part
@@ -173,8 +179,9 @@ def _own_copy(path: Path, folder: Path, lose: Report) -> Path:
         if path.suffix == '.mcap':
             return path
         # What SQLite had not yet moved into the file when the recorder ended.
-        for each in path.parent.glob(f'{path.name}*'):
-            shutil.copy(each, folder / each.name)
+        for each in path.parent.glob(f'{glob.escape(path.name)}*'):
+            if each.is_file():
+                shutil.copy(each, folder / each.name)
         return copy
     with path.open('rb') as stream, copy.open('wb') as out:
         try:
@@ -282,7 +289,10 @@ def _unpacked(compression: str, data: bytes) -> bytes:
     unpacked = bytearray()
     try:
         if compression == 'lz4':
-            unpacked += lz4.frame.LZ4FrameDecompressor().decompress(data)
+            decompressor = lz4.frame.LZ4FrameDecompressor()
+            # In pieces, as nothing comes of one that is damaged.
+            for start in range(0, len(data), _PIECE):
+                unpacked += decompressor.decompress(data[start : start + _PIECE])
         else:
             stream = zstandard.ZstdDecompressor().stream_reader(data)
             while block := stream.read(2**16):

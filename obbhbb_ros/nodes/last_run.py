@@ -180,7 +180,7 @@ class RunRecord:
         self.last: dict[str, str] = {}
         self.stacks = ''
         self.stacks_file: BinaryIO | None = None
-        self._path = Path(path)
+        self._path = Path(path).expanduser()
         self._complain = complain
         self._has_complained = False
         self._counters = {} if counters is None else counters
@@ -198,6 +198,10 @@ class RunRecord:
 
     def note(self, state: str) -> None:
         """Write that the node runs, in this lifecycle state."""
+        if self.stacks_file is not None and not self._state:
+            # Now the run counts: what the run before left is not needed any more.
+            with suppress(OSError):
+                self.stacks_file.truncate(0)
         self._state = state
         self._write()
 
@@ -208,6 +212,8 @@ class RunRecord:
     def _open(self) -> None:
         """Make sure that no other process uses the files, and read them."""
         try:
+            if not self._path.is_absolute():
+                raise ValueError('not an absolute path')
             self._path.parent.mkdir(parents=True, exist_ok=True)
             if self._path.exists() and not self._path.is_file():
                 raise ValueError('not a file')
@@ -229,7 +235,6 @@ class RunRecord:
         try:
             stacks_file.seek(0)
             stacks = stacks_file.read(_MOST_STACKS).decode(errors='replace')
-            stacks_file.truncate(0)
             with self._path.open('rb') as file:
                 run = read_run(file.read(_MOST_BYTES))
         except FileNotFoundError:

@@ -116,6 +116,9 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         self.watchdog = Watchdog(
             self.get_parameter(WATCHDOG.name).value, self.record, self.get_logger().fatal
         )
+        if self.record.is_kept:
+            # As long as the node lives, in every state.
+            self.create_timer(PERIOD, lambda: self.record.note(internals.state_label(self)))
         self._restart_reports = 0
         self._tell_of_last_run()
         internals.refuse_impossible_transitions(self, self.get_logger().error)
@@ -321,7 +324,6 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         facts = {**self._facts(), **self._last_run_facts()}
         report = self._monitor.report(state, values, facts, self._silent_for(values))
         self._diagnostics_publisher.publish(report)
-        self.record.note(state)
 
     def _tell_of_last_run(self) -> None:
         """Say in the log that this is a restart, and prepare to say so in the diagnostics."""

@@ -206,7 +206,7 @@ class Overlay(ManagedNode[OverlaySettings]):
         seconds, nanoseconds = image.stamp
         try:
             picture = frame.picture()
-        except OverlayError as error:
+        except (OverlayError, MemoryError) as error:
             self._monitor.add('images_refused')
             self._warn(
                 'image refused',

@@ -29,6 +29,12 @@ from obbhbb_ros.wire.image import WireImage
 _SIDES_PER_LINE = 550.0
 _SIDES_PER_TEXT = 64.0
 _SMALLEST_TEXT = 10
+# Scores from here on are written with an exponent.
+_LONGEST_SCORE = 1000.0
+# Labels that are tried; there is no room for as many.
+_MOST_LABELS = 2000
+# Of a JPEG, pixels.
+_LONGEST_SIDE = 65_500
 _LONGEST_TEXT = 24
 _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 # Pillow's names of pixels in memory.
@@ -144,11 +150,14 @@ def label_text(class_id: str, score: float) -> str:
     --------
     >>> label_text('tanker', 0.876), label_text('', 0.5), label_text('tanker', float('nan'))
     ('tanker 0.88', '0.50', 'tanker')
+    >>> label_text('', 1e308)
+    '1e+308'
     """
     shown = ''.join(each if each.isprintable() else '?' for each in class_id[: _LONGEST_TEXT + 1])
     if len(shown) > _LONGEST_TEXT:
         shown = shown[: _LONGEST_TEXT - 1] + '…'
-    return ' '.join(filter(None, (shown, '' if math.isnan(score) else f'{score:.2f}')))
+    number = f'{score:.2f}' if abs(score) < _LONGEST_SCORE else f'{score:.3g}'
+    return ' '.join(filter(None, (shown, '' if math.isnan(score) else number)))
 
 
 def lines(corners: FloatArray) -> FloatArray:
@@ -240,6 +249,8 @@ def picture_of(image: WireImage, scale: float = 1.0) -> Any:
     except ChipError as error:
         raise OverlayError(str(error)) from None
     size = image.width, image.height
+    if max(size) * scale > _LONGEST_SIDE:
+        raise OverlayError(f'jpeg cannot hold a picture of {size[0]} x {size[1]} pixels')
     if image.encoding in _RAW_MODES and image.step == view.shape[1] * view.shape[2]:
         picture = Image.frombytes('RGB', size, image.data, 'raw', _RAW_MODES[image.encoding])
     else:
@@ -340,7 +351,7 @@ def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int
     rows = [row for row in order.tolist() if visible[row] and labels.texts[row]]
     taken = np.concatenate((np.hstack((middles, middles)), np.zeros((len(rows), 4))))
     count = len(middles)
-    for row in rows:
+    for row in rows[:_MOST_LABELS]:
         text = _text(labels.texts[row], text_size)
         place = _place(text.size, low[row] - gap, high[row] + gap, size, taken[:count])
         if place is None:

@@ -44,7 +44,7 @@ def test_every_argument_of_the_conversion_node_counts(tmp_path: Path) -> None:
     assert node.remaps == {'__node': 'ships', '__ns': '/sat/payload', **topics}
     assert node.values('--params-file') == [str(file)]
     assert node.values('--log-level') == ['warn']
-    assert node.parameters == {'state.path': '/data/state/ships.json'}
+    assert node.parameters == {'state.path': '/data/state/sat/payload/ships.json'}
     assert node.profile == LARGE
     assert not node.respawn
 
@@ -87,7 +87,7 @@ def test_every_argument_of_the_downlink_counts(tmp_path: Path) -> None:
         assert node.values('--params-file') == [str(files[node.executable])]
         assert node.values('--log-level') == ['debug']
         assert node.parameters.get('spool.path', '/data/spool') == '/data/spool'
-        assert node.parameters['state.path'] == f'/data/state/{node.executable}.json'
+        assert node.parameters['state.path'] == f'/data/state/payload/{node.executable}.json'
         assert node.profile == LARGE
         assert not node.respawn
 

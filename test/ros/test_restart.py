@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import re
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -272,7 +273,9 @@ def test_the_end_of_a_run_is_found_out(
     assert end_of(run, stacks, boot) == end
 
 
-@pytest.mark.parametrize('path', ['/', '.', '/dev/null', '/dev/null/x', 'a\0b', '/proc/x'])
+@pytest.mark.parametrize(
+    'path', ['/', '.', 'n.json', '/dev/null', '/dev/null/x', '/a\0b', '/proc/x']
+)
 def test_a_path_that_cannot_be_a_file_is_told(path: str) -> None:
     told: list[str] = []
     record = RunRecord(path, '/n', {}, told.append)
@@ -281,3 +284,30 @@ def test_a_path_that_cannot_be_a_file_is_told(path: str) -> None:
     (text,) = told
     assert text.startswith(f'state.path: {path}: ')
     assert not record.is_kept
+
+
+DYING = """
+import os, sys
+from obbhbb_ros.nodes.last_run import RunRecord
+record = RunRecord(sys.argv[1], '/n', {}, print)
+if 'start' in sys.argv:
+    record.note('active')
+if 'crash' in sys.argv:
+    os.kill(os.getpid(), 11)
+print(record.restart)
+"""
+
+
+def test_an_attempt_that_cannot_start_leaves_the_evidence_of_the_crash_before_it(
+    tmp_path: Path
+) -> None:
+    def run(*words: str) -> str:
+        command = [sys.executable, '-c', DYING, str(tmp_path / 'n.json'), *words]
+        return subprocess.run(command, check=False, capture_output=True, text=True).stdout
+
+    run('start', 'crash')
+    assert 'crashed: Segmentation fault (SIGSEGV)' in run()
+    assert 'restart 1 in a row' in (told := run('start'))
+    assert 'crashed: Segmentation fault (SIGSEGV)' in told
+    # That run ended without a word, and its stacks are not those of the one before.
+    assert 'killed: SIGKILL' in run('start')

@@ -34,6 +34,7 @@ from recordings import typestore
 
 pytest.importorskip('mcap')
 
+import lz4.frame
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -43,6 +44,7 @@ from rosbags.typesys import get_types_from_msg
 from rosbags.typesys import get_typestore
 
 from obbhbb_ros.bags import replay
+from obbhbb_ros.bags.rescue import _unpacked
 from obbhbb_ros.bags.topics import OUTPUT_HASH
 from obbhbb_ros.bags.topics import OUTPUT_TYPE
 from obbhbb_ros.cli import main
@@ -473,6 +475,33 @@ def test_a_bag_without_metadata_is_read_all_the_same(
     with Reader(tmp_path / 'out') as reader:
         assert reader.connections[0].ext.offered_qos_profiles == [LATCHED]
         assert reader.connections[0].digest == typestore().hash_rihs01(TYPES['CameraInfo'])
+
+
+@pytest.mark.parametrize('name', ['run[1]', 'a*b'])
+def test_a_damaged_bag_may_have_any_name(tmp_path: Path, run: Any, name: str) -> None:
+    bag = record(tmp_path / name, TOPICS, scene(), 'sqlite3')
+    (bag / 'metadata.yaml').unlink()
+    bag.rename(tmp_path / 'in')
+    code, _, _ = run('--strict')
+    assert code == 0
+    assert answers(tmp_path / 'out') == expected(scene())
+
+
+def test_a_folder_in_a_bag_is_no_part_of_it(tmp_path: Path, run: Any) -> None:
+    bag = record(tmp_path / 'in', TOPICS, scene())
+    (bag / 'older.mcap').mkdir()
+    code, _, _ = run('--strict')
+    assert code == 0
+    assert answers(tmp_path / 'out') == expected(scene())
+
+
+def test_of_a_damaged_lz4_chunk_all_before_the_damage_is_read() -> None:
+    content = np.random.default_rng(0).integers(0, 4, 200_000).astype(np.uint8).tobytes()
+    packed = bytearray(lz4.frame.compress(content, block_size=lz4.frame.BLOCKSIZE_MAX64KB))
+    packed[len(packed) * 3 // 4] ^= 0xFF
+    unpacked = _unpacked('lz4', bytes(packed))
+    assert 60_000 < len(unpacked) < len(content)
+    assert content.startswith(unpacked[:60_000])
 
 
 def truncate(bag: Path) -> None:
