@@ -24,6 +24,9 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.settings import OBB_TO_HBB
 
+# What it tests depends on rclpy, which is the same in all environments.
+pytestmark = pytest.mark.once
+
 
 def time_of(report: DiagnosticArray) -> float:
     return report.header.stamp.sec + report.header.stamp.nanosec * 1e-9

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
 from harness import ChipNode
 from harness import Converter
 from harness import OverlayNode
@@ -17,6 +18,9 @@ from lifecycle_msgs.msg import Transition
 from ships import detections
 from ships import fleet
 from vision_msgs.msg import Detection2DArray
+
+# What it tests depends on rclpy, which is the same in all environments.
+pytestmark = pytest.mark.once
 
 NAN, OUTSIDE = (np.nan, 0.0, 1.0, 1.0, 0.0), (1e6, 1e6, 10.0, 5.0, 0.0)
 
