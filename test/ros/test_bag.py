@@ -35,6 +35,9 @@ from obbhbb_ros.nodes.managed import message_type
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
+# Long; what depends on the versions of NumPy and Pillow is tested without DDS as well.
+pytestmark = pytest.mark.once
+
 pytest.importorskip('mcap')
 
 DATA = Path(__file__).parents[1] / 'data'

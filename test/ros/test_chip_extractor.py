@@ -32,6 +32,9 @@ from obbhbb_ros.labels import write_labels
 from obbhbb_ros.nodes.play_detections import image_message
 from obbhbb_ros.study.harbour import harbour
 
+# Long; what depends on the versions of NumPy and Pillow is tested without DDS as well.
+pytestmark = pytest.mark.once
+
 REGIONS: list[Region] = [(10, 20, 31, 41), (0, 0, 8, 8), (90, 50, 120, 80)]
 WIDTH, HEIGHT = 120, 80
 

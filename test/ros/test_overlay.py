@@ -26,6 +26,9 @@ from visualization_msgs.msg import ImageMarker
 
 from obbhbb_ros.colors import LAYER_COLORS
 
+# Long; what depends on the versions of NumPy and Pillow is tested without DDS as well.
+pytestmark = pytest.mark.once
+
 GREY = np.full((100, 200, 3), 128, np.uint8)
 LAYERS = ('detections', 'boxes', 'crop_regions')
 # Upright boxes around (100, 50): the middle of the left edge of each is at its own x.

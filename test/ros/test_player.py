@@ -32,6 +32,9 @@ from obbhbb_ros.nodes.managed import message_type
 from obbhbb_ros.nodes.play_detections import HARBOUR_SIZE
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
+# Long; what depends on the versions of NumPy and Pillow is tested without DDS as well.
+pytestmark = pytest.mark.once
+
 REAL_SHIPS = Path(__file__).parents[1] / 'data' / 'real_ships.csv'
 
 DOTA = """imagesource:GoogleEarth
