@@ -595,8 +595,9 @@ def describe_intact(chip: StoredChip, data: bytes) -> dict[str, Any] | None:
     return None
 
 
-# Bytes that a chip costs on the link: file and JSON, with at most so many bytes for id and value.
+# Maximum bytes of id and value in a JSON file.
 _JSON_ROOM = 128
+# Bytes that a chip costs on the link: its file and its JSON.
 _COST = f'(bytes + length(CAST(facts AS BLOB)) + {_JSON_ROOM})'
 
 

@@ -358,23 +358,32 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         )
         dropped: Counter[str] = Counter()
         sent = 0
-        for chip in chips:
-            admitted = frame.admit(chip)
-            if isinstance(admitted, Dropped):
-                dropped[admitted.value] += 1
-            else:
-                topics.publish(chip, admitted)
-                self._monitor.add('bytes_sent', len(admitted) + settings.budget.overhead)
-                sent += 1
-            if frame.ended_by is not None:
-                break
-        self._monitor.add('chips_sent', sent)
-        dropped.update(refused)
-        if frame.ended_by is not None:
-            dropped[frame.ended_by.value] += len(planned) - sent - dropped.total()
+        try:
+            for chip in chips:
+                admitted = frame.admit(chip)
+                if isinstance(admitted, Dropped):
+                    dropped[admitted.value] += 1
+                else:
+                    topics.publish(chip, admitted)
+                    self._monitor.add('bytes_sent', len(admitted) + settings.budget.overhead)
+                    sent += 1
+                if frame.ended_by is not None:
+                    break
+        finally:
+            # After an error as well, every chip is accounted for.
+            self._monitor.add('chips_sent', sent)
+            dropped.update(refused)
+            rest = 'failed' if frame.ended_by is None else frame.ended_by.value
+            dropped[rest] += len(planned) - sent - dropped.total()
+            self._report_dropped(dropped, image, planned)
+
+    def _report_dropped(
+        self, dropped: Counter[str], image: WireImage, planned: PlannedFrame
+    ) -> None:
+        """Count the chips that are not sent, and say it where an operator can do something."""
         for reason, count in dropped.items():
             self._drop(reason, count)
-            if reason in _LOST_FOR_GOOD:
+            if count and reason in _LOST_FOR_GOOD:
                 self._warn(
                     reason,
                     f'dropped {count} of {len(planned)} chips at stamp {_seconds(image.stamp)}: '

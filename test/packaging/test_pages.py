@@ -387,7 +387,7 @@ def test_the_topics_of_the_player_stand_in_its_code() -> None:
         (
             'chip_extractor', 'chips',
             {each.value for each in Dropped}
-            | {'image_refused', 'no_subscriber', 'crop_plan_<reason>'},
+            | {'image_refused', 'no_subscriber', 'failed', 'crop_plan_<reason>'},
         ),
     ],
 )
