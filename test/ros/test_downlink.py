@@ -207,6 +207,14 @@ def test_release_waits_for_contact_and_goes_by_value_then_age(chain: Chain) -> N
     assert folders == {'0', '1', '2'}
 
 
+def test_a_node_that_starts_late_learns_of_the_contact(chain: Chain) -> None:
+    with Peer(chain.site.context, chain.chips.namespace) as ground:
+        publisher = ground.node.create_publisher(Bool, 'contact', LATCHED)
+        publisher.publish(Bool(data=True))
+        node = chain.downlink(contact='topic')
+        node.wait(lambda: node.counts()['spool.delivered'] == 1, 'a release')
+
+
 def test_what_the_topics_cannot_take_is_stored_all_the_same(chain: Chain) -> None:
     chain.chips.set({'budget.max_chips': 1})
     chain.chips.forget()
@@ -375,6 +383,9 @@ def test_an_error_on_the_topics_costs_the_spool_nothing(site: Site, tmp_path: Pa
         )
         counts = node.counts()
         assert counts['spool.planned'] == counts['spool.waiting'] > 2
+        dropped = sum(n for name, n in counts.items() if name.startswith('chips_dropped.'))
+        assert counts['chips_planned'] == counts['chips_sent'] + dropped
+        assert counts['chips_dropped.failed'] > 0
         assert counts['spool.in_work'] == 0
 
 
