@@ -16,3 +16,13 @@ def xywhr(draw, max_boxes=8):
     """Draw an (N, 5) array of valid boxes."""
     row = st.tuples(COORDINATE, COORDINATE, SIDE, SIDE, ANGLE)
     return np.array(draw(st.lists(row, min_size=1, max_size=max_boxes)))
+
+
+def sides_differ(rows):
+    """
+    Tell whether it is beyond doubt which side of each box, (N, 5), is the long one.
+
+    Where they are all but equal it is a matter of rounding, and with f other than 1 so is the
+    axis-aligned box.
+    """
+    return (np.abs(rows[:, 2] - rows[:, 3]) > 1e-6 * rows[:, 2]).all()
