@@ -16,7 +16,10 @@ from obbhbb_ros.launching import state_file
 HOME = os.environ.get('ROS_HOME') or os.path.expanduser('~/.ros')
 CHAIN = ('obb_to_hbb', 'chip_extractor', 'downlink')
 NODES = (*CHAIN, 'overlay')
-TOPICS = ('detections', 'polygons', 'camera_info', 'image', 'contact')
+TOPICS = (
+    'detections', 'polygons', 'camera_info', 'image', 'contact',
+    'boxes', 'crop_regions', 'crop_sources',
+)
 
 
 def generate_launch_description() -> LaunchDescription:

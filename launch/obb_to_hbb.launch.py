@@ -9,7 +9,7 @@ from obbhbb_ros.launching import nodes
 from obbhbb_ros.launching import params_file
 from obbhbb_ros.launching import state_file
 
-TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions')
+TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions', 'crop_sources')
 
 
 def generate_launch_description() -> LaunchDescription:

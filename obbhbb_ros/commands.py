@@ -422,7 +422,7 @@ def _gallery(options: _Options) -> int:
     write_text(options.output, page)
     for problem in received.problems:
         note(f'obbhbb: {problem}')
-    print(f'{len(received.chips)} chips, {len(received.problems)} problems')
+    print(f'chips: {len(received.chips)}, problems: {len(received.problems)}')
     print(f'written: {options.output}')
     return 0
 

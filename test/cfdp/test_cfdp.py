@@ -177,4 +177,4 @@ def test_the_two_programs_fill_the_gallery(tmp_path, capsys) -> None:
     assert said.startswith('4 chips delivered, ')
     assert digests(tmp_path / 'outbox') == {}
     assert main(['gallery', str(tmp_path / 'down'), '-o', str(tmp_path / 'page.html')]) == 0
-    assert '4 chips, 0 problems' in capsys.readouterr().out
+    assert 'chips: 4, problems: 0' in capsys.readouterr().out

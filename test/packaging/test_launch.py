@@ -11,8 +11,11 @@ CONVERTER = ROOT / 'launch' / 'obb_to_hbb.launch.py'
 DOWNLINK = ROOT / 'launch' / 'downlink.launch.py'
 CHAIN = ('obb_to_hbb', 'chip_extractor', 'downlink')
 NODES = (*CHAIN, 'overlay')
-CHAIN_TOPICS = ('detections', 'polygons', 'camera_info', 'image', 'contact')
-TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions')
+CHAIN_TOPICS = (
+    'detections', 'polygons', 'camera_info', 'image', 'contact',
+    'boxes', 'crop_regions', 'crop_sources',
+)
+TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions', 'crop_sources')
 LARGE = 'config/fastdds_large.xml'
 
 

@@ -111,7 +111,7 @@ def blue_pixels(path: Path) -> int:
 
 
 def test_the_gallery_has_chips_and_no_problems(printed: str) -> None:
-    found = re.search(r'^(\d+) chips, (\d+) problems$', printed, re.MULTILINE)
+    found = re.search(r'^chips: (\d+), problems: (\d+)$', printed, re.MULTILINE)
     assert found
     assert int(found[1]) > 0
     assert int(found[2]) == 0

@@ -167,7 +167,7 @@ def test_folders_are_searched_and_files_that_are_not_complete_left_out(tmp_path,
     (tmp_path / 'box' / '.partial.json').write_text('{')
     os.mkfifo(tmp_path / 'box' / 'pipe.json')
     assert len(gallery(tmp_path / 'box').all('img')) == 2
-    assert '2 chips, 0 problems' in capsys.readouterr().out
+    assert 'chips: 2, problems: 0' in capsys.readouterr().out
 
 
 def test_hostile_texts_are_shown_as_they_are_and_do_nothing(tmp_path, capsys) -> None:
@@ -271,8 +271,8 @@ def test_a_chip_that_cannot_be_converted_has_a_card_without_picture(
 def test_a_folder_where_everything_is_wrong_still_has_a_page(tmp_path, capsys) -> None:
     (tmp_path / 'box').mkdir()
     (tmp_path / 'box' / 'a.webp').write_bytes(b'')
-    assert '1 problems' in gallery(tmp_path / 'box').text
-    assert '0 chips, 1 problems' in capsys.readouterr().out
+    assert 'Problems: 1' in gallery(tmp_path / 'box').text
+    assert 'chips: 0, problems: 1' in capsys.readouterr().out
 
 
 def test_no_page_is_written_if_nothing_was_found(tmp_path, capsys) -> None:
