@@ -667,15 +667,19 @@ def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
     ------
     (StoredChip, bytes)
         Chips whose file is the one that was stored.
+
+    Raises
+    ------
+    SpoolError
+        If it cannot be opened, damaged or not.
     """
     database = sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro', uri=True)
     database.text_factory = lossy_text
     seen: set[int] = set()
     try:
+        _open_damaged(database, path)
         for order in ('ASC', 'DESC'):
             with suppress(sqlite3.DatabaseError):
-                # With it, SQLite reads a file that has lost its end.
-                database.execute('PRAGMA writable_schema = ON')
                 for data, *fields in database.execute(
                     f'SELECT data, {_COLUMNS} FROM chips ORDER BY seq {order}'
                 ):
@@ -687,3 +691,18 @@ def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
                         yield chip, data
     finally:
         database.close()
+
+
+def _open_damaged(database: sqlite3.Connection, path: Path) -> None:
+    """Open the file of a connection, damaged or not; SpoolError if that is not possible."""
+    try:
+        # With it, SQLite reads a file that has lost its end.
+        database.execute('PRAGMA writable_schema = ON')
+        database.execute('PRAGMA schema_version')
+    except sqlite3.OperationalError as error:
+        raise SpoolError(
+            f'{path}: {error}; if its disk is read-only, copy all files of the same name to another'
+        ) from error
+    except sqlite3.DatabaseError:
+        # Damaged: what can be read is found out row by row.
+        pass

@@ -221,3 +221,16 @@ def test_a_damaged_catalogue_is_told_of(folder, capsys) -> None:
     output = capsys.readouterr()
     assert '1 damaged catalogues set aside' in output.out
     assert f'{path} is damaged and set aside' in output.err
+
+
+def test_a_catalogue_that_cannot_be_opened_is_an_error(tmp_path, capsys) -> None:
+    spool = Spool(tmp_path / 'spool', print, 'writer')
+    store(spool, [0.5])
+    spool.close()
+    (path,) = files(tmp_path / 'spool')
+    # SQLite cannot make this file, as on a disk that is mounted read-only.
+    path.with_name(f'{path.name}-wal').mkdir()
+    assert run(path, 'export', '-o', tmp_path / 'out') == 1
+    error = capsys.readouterr().err
+    assert f'{path}: unable to open' in error
+    assert 'copy all files' in error
