@@ -5,12 +5,13 @@ Run conversion and chips for a long time and account for every frame and every c
     python test/soak/chain.py --minutes 10
 
 Images and detections go out at a steady rate; each frame must become boxes, a crop plan and chips:
-none lost, none sent twice, the memory of both nodes flat after the first minute.
+none lost, none sent twice, the memory of both nodes flat in the second half.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 import time
@@ -96,6 +97,10 @@ class Chain(ExitStack):
             data[4:8] = self.sent.to_bytes(4, 'little')
             publisher.publish(bytes(data))
 
+    def settled(self) -> bool:
+        """Return whether the last frame has come through."""
+        return self.sent in self.chips
+
 
 def stamp_of(data: bytes) -> int:
     """Read the seconds of the stamp of a serialized message with a header."""
@@ -116,8 +121,21 @@ def run(chain: Chain, rate: float, minutes: float) -> list[list[float]]:
         )
 
     chain.peer.repeat(60.0 * minutes, (1.0 / rate, chain.send), (REPORT_PERIOD, report))
-    chain.peer.spin_to(time.monotonic() + GRACE)
+    with contextlib.suppress(TimeoutError):
+        chain.peer.spin_until(chain.settled, 'the last chips', GRACE)
+    # What comes twice would come now, and the reports with the last counts.
+    chain.peer.spin_to(time.monotonic() + 2.5)
     return resident
+
+
+def grown(resident: list[list[float]]) -> list[float]:
+    """
+    Give how much memory each process gained in the second half.
+
+    A burst while the machine is busy with something else may raise it once; a leak goes on.
+    """
+    half = resident[len(resident) // 2 :]
+    return np.subtract(half[-1], half[0]).round(1).tolist() if half else []
 
 
 def verdict(chain: Chain) -> bool:
@@ -157,9 +175,9 @@ def main() -> None:
         resident = run(chain, options.rate, options.minutes)
         good = verdict(chain)
         codes = [process.close() for process in chain.processes]
-    growth = np.subtract(resident[-1], resident[1]) if len(resident) > 2 else np.zeros(2)
-    print(f'memory after the first minute {growth.round(1).tolist()} MB; exit codes {codes}')
-    sys.exit(0 if good and not any(codes) and (growth < 2.0).all() else 1)
+    growth = grown(resident)
+    print(f'memory grown in the second half {growth} MB; exit codes {codes}')
+    sys.exit(0 if good and not any(codes) and all(each < 2.0 for each in growth) else 1)
 
 
 if __name__ == '__main__':

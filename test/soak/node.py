@@ -37,6 +37,7 @@ from obbhbb_ros.converter import half_extents
 from obbhbb_ros.wire.detections import Detections
 
 RULES = (HullRule(), HullRule('shape_aware', 2.2, 0.9, 1.05))
+FLIPPED = ('method', 'q', 'f', 's')
 MESSAGE_PERIOD, FLIP_PERIOD, REPORT_PERIOD = 1 / 50, 1 / 10, 30.0
 DETECTIONS = 100
 GRACE = 5.0
@@ -77,7 +78,8 @@ class Soak(Node):
         """Replace the set of parameters by the other, all at once."""
         rule = RULES[self.flips % 2]
         self.flips += 1
-        request = SetParametersAtomically.Request(parameters=parameters_of(vars(rule)))
+        values = {name: getattr(rule, name) for name in FLIPPED}
+        request = SetParametersAtomically.Request(parameters=parameters_of(values))
         future = self.call_async('set_parameters_atomically', request)
         future.add_done_callback(self._note_reply)
 

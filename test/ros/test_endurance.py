@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Long-running commands of CONTRIBUTING still run, here for a moment each."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TEST = Path(__file__).parents[1]
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    'command',
+    [
+        'fuzz/wire.py --inputs 300',
+        'fuzz/inputs.py --inputs 20',
+        'soak/node.py --minutes 0.05',
+        'soak/chain.py --minutes 0.05 --rate 4 --detections 20',
+        'benchmarks/spool.py --chips 200 --seconds 0.5',
+        'benchmarks/node.py --sizes 1 --rounds 1',
+    ],
+)
+def test_it_runs_and_finds_nothing(command: str) -> None:
+    script, *arguments = command.split()
+    ran = subprocess.run(
+        [sys.executable, TEST / script, *arguments],
+        capture_output=True, text=True, timeout=180, check=False,
+    )
+    assert ran.returncode == 0, ran.stdout + ran.stderr
