@@ -29,7 +29,8 @@ T = TypeVar('T')
 _NAME = re.compile(r'chips_([0-9]+)_[0-9a-f]{6}\.sqlite3')
 # Stands beside a database that is not used any more.
 DAMAGED = '.damaged'
-_BUSY_TIMEOUT = 5.0
+# Seconds to wait for a process that has it locked, and once that was in vain.
+PATIENCE, _IMPATIENCE = 5.0, 0.05
 
 
 class SpoolError(OSError):
@@ -54,6 +55,9 @@ class Catalogue:
         Called with a text about everything that an operator should know.
     on_open : callable
         Called with a cursor in a transaction whenever the database is opened, if given.
+    patience : float
+        Seconds to wait for another process to unlock it; next to none until it is unlocked once
+        that was in vain, so that nothing else is held up each time.
 
     Attributes
     ----------
@@ -68,8 +72,10 @@ class Catalogue:
         version: int,
         on_trouble: Callable[[str], object],
         on_open: Callable[[sqlite3.Cursor], object] | None = None,
+        patience: float = PATIENCE,
     ) -> None:
         self._folder = folder
+        self._patience = self._waits = patience
         self._schema, self._version = schema, version
         self._on_trouble, self._on_open = on_trouble, on_open
         self._database: sqlite3.Connection | None = None
@@ -114,6 +120,8 @@ class Catalogue:
         except SpoolError:
             raise
         except (sqlite3.Error, OSError) as error:
+            if _is_locked(error):
+                self._wait(_IMPATIENCE)
             raise SpoolError(f'{self._folder}: {error}') from error
 
     def lock(self, name: str) -> bool:
@@ -140,7 +148,16 @@ class Catalogue:
             self._open()
         assert self._database is not None
         with _transaction(self._database, writing) as rows:
-            return work(rows)
+            result = work(rows)
+        if writing:
+            self._wait(self._patience)
+        return result
+
+    def _wait(self, seconds: float) -> None:
+        """Set how long to wait for others from now on."""
+        if seconds != self._waits and self._database is not None:
+            self._database.execute(f'PRAGMA busy_timeout = {1000.0 * seconds:.0f}')
+        self._waits = seconds
 
     def _is_current(self) -> bool:
         """Return whether the open file is still there and in use; say so if it is gone."""
@@ -157,7 +174,7 @@ class Catalogue:
         if not self._folder.exists():
             self._folder.mkdir(parents=True, exist_ok=True)
             sync_folder(self._folder.parent)
-        with _alone(self._folder / 'open.lock'):
+        with _alone(self._folder / 'open.lock', self._waits):
             path = self._in_use() or self._new_path()
             try:
                 self._database = self._connected(path)
@@ -180,7 +197,7 @@ class Catalogue:
     def _connected(self, path: Path) -> sqlite3.Connection:
         """Open a file; make its tables if it is new."""
         database = sqlite3.connect(
-            path, timeout=_BUSY_TIMEOUT, isolation_level=None, check_same_thread=False
+            path, timeout=self._waits, isolation_level=None, check_same_thread=False
         )
         # Damaged text is found out where it is used.
         database.text_factory = lossy_text
@@ -243,6 +260,11 @@ def _is_damage(error: sqlite3.DatabaseError) -> bool:
     return type(error) is sqlite3.DatabaseError
 
 
+def _is_locked(error: Exception) -> bool:
+    """Return whether an error means that another process has the database locked."""
+    return isinstance(error, sqlite3.OperationalError) and 'locked' in str(error)
+
+
 @contextmanager
 def _transaction(database: sqlite3.Connection, writing: bool) -> Iterator[sqlite3.Cursor]:
     """Give a cursor; what is done with it is on disk at the end of the block, or not at all."""
@@ -286,12 +308,12 @@ def _locked(path: Path) -> int | None:
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
+def _alone(path: Path, patience: float) -> Iterator[None]:
     """Keep others out of a block; SpoolError if they do not leave it."""
-    deadline = time.monotonic() + _BUSY_TIMEOUT
+    deadline = time.monotonic() + patience
     while (lock := _locked(path)) is None:
         if time.monotonic() > deadline:
-            raise SpoolError(f'{path} is locked by another process')
+            raise sqlite3.OperationalError(f'{path.name} is locked by another process')
         time.sleep(0.01)
     try:
         yield

@@ -33,6 +33,7 @@ from typing import Any
 from typing import NamedTuple
 from typing import TypeVar
 
+from obbhbb_ros.downlink.catalogue import PATIENCE
 from obbhbb_ros.downlink.catalogue import Catalogue
 from obbhbb_ros.downlink.catalogue import SpoolError
 from obbhbb_ros.downlink.catalogue import lossy_text
@@ -43,6 +44,8 @@ T = TypeVar('T')
 _VERSION = 1
 # Times the maximum size that the file of a catalogue may have.
 _SLACK = 1.1
+# Seconds that a writer waits for another process: as long as a frame may be late.
+_WRITER_PATIENCE = 0.8
 # Chips that are evicted in one transaction: a lower limit is reached in several.
 _MOST_EVICTED = 1000
 # Free pages that are given back to the disk in one transaction.
@@ -227,6 +230,7 @@ class Spool:
         self._catalogue = Catalogue(
             self._folder, _SCHEMA, _VERSION, on_trouble,
             {'writer': self._become_writer, 'releaser': self._become_releaser}.get(role),
+            _WRITER_PATIENCE if role == 'writer' else PATIENCE,
         )
         self._number = 0
         # What could not be written down: frames and why none of their chips was stored.

@@ -9,6 +9,7 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -674,6 +675,23 @@ def test_a_damaged_chip_is_left_out_of_the_intact_ones(tmp_path, damage) -> None
     found = [chip.seq for chip, _ in intact_chips(path)]
     assert len(found) == len(set(found)) == 34
     assert 3 not in found
+
+
+def test_a_process_that_keeps_the_catalogue_locked_does_not_hold_up_a_writer(tmp_path) -> None:
+    spool = Spool(tmp_path, print, 'writer')
+    store(spool, [0.5])
+    with database(tmp_path) as other:
+        other.execute('BEGIN IMMEDIATE')
+        started = time.monotonic()
+        assert not any(store(spool, [0.5]) for _ in range(10))
+        # The first call waits .8 s. It took 5 s for each once.
+        assert time.monotonic() - started < 20.0
+        other.execute('ROLLBACK')
+    assert store(spool, [0.7])
+    spool.catch_up()
+    found = counts(spool).counts
+    assert (found['planned'], found['refused.spool_failed']) == (12, 10)
+    spool.close()
 
 
 # Anything, in any order
