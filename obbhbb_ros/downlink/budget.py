@@ -102,6 +102,10 @@ class TokenBucket:
         if self._rate:
             self._tokens -= count
 
+    def give_back(self, count: int) -> None:
+        """Add bytes that were spent and not sent."""
+        self._tokens = min(self.burst, self._tokens + count)
+
     def _fill(self, now: float) -> None:
         """Add what the link has carried since the last call."""
         self._tokens = min(self.burst, self._tokens + self._rate * (now - self._filled_at))

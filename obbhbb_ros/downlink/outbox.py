@@ -61,7 +61,7 @@ class Outbox:
     Parameters
     ----------
     folder : Path
-        Where it is; made if it is missing.
+        Where it is; `token` makes it if it is missing.
 
     Examples
     --------
@@ -89,7 +89,8 @@ class Outbox:
         """
         folder = self.folder / str(level)
         if not folder.exists():
-            folder.mkdir(parents=True, exist_ok=True)
+            # Not made here: what has vanished may have been unmounted.
+            folder.mkdir(exist_ok=True)
             sync_folder(self.folder)
         chip, described = folder / f'{chip_id}.{suffix}', folder / f'{chip_id}{JSON_SUFFIX}'
         try:
@@ -104,6 +105,10 @@ class Outbox:
             if not described.exists():
                 chip.unlink(missing_ok=True)
             raise
+
+    def holds(self, chip_id: str, level: int) -> bool:
+        """Return whether a chip is complete in the folder of a level."""
+        return (self.folder / str(level) / f'{chip_id}{JSON_SUFFIX}').exists()
 
     def contents(self) -> Contents:
         """List what is there; OSError if that cannot be known."""

@@ -196,7 +196,9 @@ class Releaser:
         if not self.contact:
             self.stalled_by = 'no contact'
             return IDLE
-        room, most = self._room_in_outbox(), self.settings.max_bytes or inf
+        # The overhead is the link's: it takes no room in the outbox.
+        room = self._room_in_outbox() + budget.overhead
+        most = (self.settings.max_bytes or inf) + budget.overhead
         # Whatever interrupts this, the next step looks into the outbox.
         self._is_resumed = False
         claimed, missing = self._spool.claim(
@@ -222,15 +224,21 @@ class Releaser:
             self._put_back.remove(chip.id)
             self._on_trouble(f'{chip.id} is damaged in the spool and was set aside')
             return True
-        cost = len(data) + len(json_bytes(description)) + budget.overhead
-        if not self.contact or cost > min(self.available, self._room_in_outbox()):
+        size = len(data) + len(json_bytes(description))
+        cost = size + budget.overhead
+        if not self.contact or cost > self.available or size > self._room_in_outbox():
             return False
         suffix = CODECS[description['codec']].suffix
         level = level_of(chip.value, self.settings.levels)
-        # First: what fails later may be in the outbox all the same.
         self._bucket.spend(cost, self._clock())
-        self._outbox.put(chip.id, suffix, data, description, level)
-        self._contents.bytes += cost
+        try:
+            self._outbox.put(chip.id, suffix, data, description, level)
+        except OSError:
+            # What failed late may be in the outbox all the same.
+            if not self._outbox.holds(chip.id, level):
+                self._bucket.give_back(cost)
+            raise
+        self._contents.bytes += size
         self._put_back.remove(chip.id)
         self._put_out.append(chip.id)
         return True

@@ -347,6 +347,18 @@ def test_a_full_outbox_keeps_chips_in_the_spool(ground) -> None:
     assert ground.out()[0] == 9.0
 
 
+def test_the_overhead_of_the_link_takes_no_room_in_the_outbox(ground) -> None:
+    ground.set(
+        max_bytes=2000.0,
+        budget=BudgetSettings(bytes_per_second=1e6, burst=1e6, overhead=100_000),
+    )
+    ground.steps(1, 1.0)
+    store(ground.writer, [0.9, 0.8])
+    ground.steps(3, 0.1)
+    assert ground.out() == [0.9, 0.8]
+    assert ground.troubles == []
+
+
 def test_chips_in_the_outbox_at_start_take_room(ground) -> None:
     store(ground.writer, [0.5] * 10)
     ground.steps()
@@ -459,6 +471,19 @@ def test_an_outbox_that_cannot_be_written_is_tried_again(ground, monkeypatch) ->
     assert ground.out() == [0.8, 0.7]
     assert ground.writer.ids(CLAIMED) == []
     assert ground.status().counts['released'] == 3
+
+
+def test_what_could_not_be_written_costs_nothing_of_the_budget(ground) -> None:
+    ground.set(budget=BudgetSettings(bytes_per_second=100.0, burst=1000.0))
+    ground.steps(1, 100.0)
+    store(ground.writer, [0.9, 0.8])
+    (ground.folder / 'outbox' / '0').write_text('in the way')
+    for _ in range(3):
+        assert ground.releaser.step() == 1.0
+        assert 'Not a directory' in ground.releaser.stalled_by
+    (ground.folder / 'outbox' / '0').unlink()
+    ground.steps()
+    assert ground.out() == [0.9]
 
 
 def test_a_record_that_fails_is_made_up_for(ground, monkeypatch) -> None:
@@ -588,6 +613,17 @@ def test_an_outbox_without_chips_may_be_replaced(tmp_path) -> None:
     ground.steps(2, 2.0)
     assert ground.out() == [0.9]
     ground.close()
+
+
+def test_an_outbox_that_vanishes_between_two_looks_is_not_made_anew(ground) -> None:
+    store(ground.writer, [0.9])
+    ground.steps(2, 0.01)
+    shutil.rmtree(ground.folder / 'outbox')
+    store(ground.writer, [0.8])
+    ground.steps(3, 0.01)
+    assert 'outbox is missing; is it mounted?' in ground.releaser.stalled_by
+    assert not (ground.folder / 'outbox').exists()
+    assert ground.status().counts['delivered'] == 1
 
 
 # Anything, in any order
