@@ -180,7 +180,8 @@ class RunRecord:
         self.last: dict[str, str] = {}
         self.stacks = ''
         self.stacks_file: BinaryIO | None = None
-        self._path = Path(path).expanduser()
+        # `Path.expanduser` raises where there is no such user.
+        self._path = Path(os.path.expanduser(path))
         self._complain = complain
         self._has_complained = False
         self._counters = {} if counters is None else counters
@@ -214,9 +215,13 @@ class RunRecord:
         try:
             if not self._path.is_absolute():
                 raise ValueError('not an absolute path')
+            # What a link points at is replaced, not the link.
+            self._path = Path(os.path.realpath(self._path))
             self._path.parent.mkdir(parents=True, exist_ok=True)
             if self._path.exists() and not self._path.is_file():
                 raise ValueError('not a file')
+            if _is_foreign(self._path):
+                raise ValueError('it holds something else')
             stacks_file = self._path.with_name(f'{self._path.name}.stacks').open('a+b')
             # Held until the process is gone, however it ends.
             fcntl.flock(stacks_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -296,6 +301,18 @@ class RunRecord:
         if not self._has_complained:
             self._has_complained = True
             self._complain(f'state.path: {self._path}: {text}')
+
+
+def _is_foreign(path: Path) -> bool:
+    """
+    Return whether a file is none of ours, and must not be replaced.
+
+    Ours is a JSON object, or what a power cut leaves of it: nothing, or zeros.
+    """
+    if not path.exists():
+        return False
+    with path.open('rb') as file:
+        return file.read(1) not in (b'', b'\0', b'{')
 
 
 def _now() -> str:

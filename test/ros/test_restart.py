@@ -274,7 +274,8 @@ def test_the_end_of_a_run_is_found_out(
 
 
 @pytest.mark.parametrize(
-    'path', ['/', '.', 'n.json', '/dev/null', '/dev/null/x', '/a\0b', '/proc/x']
+    'path',
+    ['/', '.', 'n.json', '/dev/null', '/dev/null/x', '/a\0b', '/proc/x', '~nobody_of_that_name/n'],
 )
 def test_a_path_that_cannot_be_a_file_is_told(path: str) -> None:
     told: list[str] = []
@@ -283,6 +284,19 @@ def test_a_path_that_cannot_be_a_file_is_told(path: str) -> None:
     record.end('SIGINT', asked=True)
     (text,) = told
     assert text.startswith(f'state.path: {path}: ')
+    assert not record.is_kept
+
+
+def test_a_file_of_another_kind_is_not_replaced(tmp_path: Path) -> None:
+    file = tmp_path / 'flight.yaml'
+    file.write_text('overlay: {ros__parameters: {}}')
+    told: list[str] = []
+    record = RunRecord(str(file), '/n', {}, told.append)
+    record.note('active')
+    record.end('SIGINT', asked=True)
+    assert file.read_text() == 'overlay: {ros__parameters: {}}'
+    assert told == [f'state.path: {file}: it holds something else; nothing is kept of this run']
+    assert record.restart == ''
     assert not record.is_kept
 
 
@@ -311,3 +325,11 @@ def test_an_attempt_that_cannot_start_leaves_the_evidence_of_the_crash_before_it
     assert 'crashed: Segmentation fault (SIGSEGV)' in told
     # That run ended without a word, and its stacks are not those of the one before.
     assert 'killed: SIGKILL' in run('start')
+
+
+def test_a_link_stays_a_link(tmp_path: Path) -> None:
+    link, file = tmp_path / 'link.json', tmp_path / 'run' / 'state.json'
+    link.symlink_to(file)
+    subprocess.run([sys.executable, '-c', DYING, str(link), 'start'], check=True)
+    assert link.is_symlink()
+    assert read_run(file.read_bytes()).state == 'active'
