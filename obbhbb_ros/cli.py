@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from collections.abc import Sequence
 
 # Shells add this to the number of the signal that ended a command.
@@ -31,6 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # Closed by the caller: output is discarded.
             setattr(sys, name, open(os.devnull, 'w', encoding='utf-8'))  # noqa: SIM115
     given = list(sys.argv[1:] if arguments is None else arguments)
+    if threading.current_thread() is threading.main_thread():
+        # By default the process would leave unfinished files behind.
+        signal.signal(signal.SIGTERM, _end_by)
     try:
         # Imported here so that Ctrl-C while NumPy and shapely load prints no traceback.
         from obbhbb_ros.commands import run
@@ -49,6 +53,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f'obbhbb: {error}{advice}', file=sys.stderr)
         return 1
     return code
+
+
+def _end_by(number: int, frame: object) -> None:
+    """End the process with the exit code that stands for a signal."""
+    raise SystemExit(_BY_SIGNAL + number)
 
 
 if __name__ == '__main__':

@@ -177,6 +177,19 @@ def test_ctrl_c_ends_a_command_in_silence(ships: Path, arguments: list[str]) -> 
     assert not list(ships.parent.glob('out*'))
 
 
+def test_a_command_that_is_told_to_end_leaves_nothing_behind(ships: Path) -> None:
+    ships.write_text(HEAD + ''.join(ROW.format(i % 10, i) for i in range(100_000)))
+    folder = ships.with_name('target')
+    folder.mkdir()
+    process = subprocess.Popen([*OBBHBB, 'convert', str(ships), str(folder / 'out.csv')])
+    while not any(folder.iterdir()):
+        assert process.poll() is None
+        time.sleep(0.001)
+    process.terminate()
+    assert process.wait(timeout=60) == 128 + signal.SIGTERM
+    assert list(folder.iterdir()) == []
+
+
 def test_a_reader_that_has_seen_enough_is_no_error(ships: Path) -> None:
     reading, writing = os.pipe()
     process = subprocess.Popen(
