@@ -60,6 +60,7 @@ def make_spool(folder: Path, count: int = 24) -> None:
 def put(folder: Path, facts: dict[str, Any], chip: bytes) -> Path:
     """Put a chip and its facts into an outbox; return the JSON file."""
     level = level_of(facts['value'], LEVELS)
+    folder.mkdir(parents=True, exist_ok=True)
     Outbox(folder).put(facts['id'], CODECS[facts['codec']].suffix, chip, facts, level)
     return folder / str(level) / f'{facts["id"]}{JSON_SUFFIX}'
 

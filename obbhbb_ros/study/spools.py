@@ -158,6 +158,7 @@ def export(chips: Iterable[tuple[StoredChip, bytes]], folder: Path) -> int:
         if description is None:
             note(f'obbhbb: left out: {chip.id} is damaged')
             continue
+        folder.mkdir(parents=True, exist_ok=True)
         outbox.put(chip.id, CODECS[description['codec']].suffix, data, description, level=0)
         count += 1
     return count
