@@ -25,6 +25,7 @@ from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
+from contextlib import closing
 from contextlib import contextmanager
 from contextlib import suppress
 from dataclasses import dataclass
@@ -50,6 +51,10 @@ _WRITER_PATIENCE = 0.8
 _MOST_EVICTED = 1000
 # Free pages that are given back to the disk in one transaction.
 _PAGES_GIVEN_BACK = 1000
+# Numbers of chips that are tried, one by one, to get behind a damaged place.
+_MOST_SKIPPED = 100_000
+# The greatest number that SQLite can give to a chip.
+_MOST_SEQ = 2**63 - 1
 
 WAITING, CLAIMED, RELEASED = 0, 1, 2
 """States of a chip in the catalogue: in the spool, on its way to the outbox, in the outbox."""
@@ -660,7 +665,7 @@ def _pragma(rows: sqlite3.Cursor, name: str) -> int:
 
 def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
     """
-    Read what can be read of a damaged catalogue: from its start, and back from its end.
+    Read what can be read of a damaged catalogue: all chips but those in damaged places.
 
     Parameters
     ----------
@@ -675,38 +680,79 @@ def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
     Raises
     ------
     SpoolError
-        If it cannot be opened, damaged or not.
+        If it cannot be opened, damaged or not, is no catalogue, or no chip of it can be read.
     """
-    database = sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro', uri=True)
-    database.text_factory = lossy_text
-    seen: set[int] = set()
-    try:
-        _open_damaged(database, path)
-        for order in ('ASC', 'DESC'):
-            with suppress(sqlite3.DatabaseError):
-                for data, *fields in database.execute(
-                    f'SELECT data, {_COLUMNS} FROM chips ORDER BY seq {order}'
+    with closing(_connected(path)) as database:
+        _prepare_damaged(database, path)
+        seen: set[int] = set()
+        troubles: list[str] = []
+        for step in (1, -1):
+            for chip, data in _readable(database, step, troubles):
+                if chip.seq in seen:
+                    break
+                seen.add(chip.seq)
+                # Damage may have turned a value into a text.
+                if data is not None and isinstance(chip.value, float) and describe_intact(
+                    chip, data
                 ):
-                    chip = StoredChip(*fields)
-                    if chip.seq in seen:
-                        break
-                    seen.add(chip.seq)
-                    if data is not None and describe_intact(chip, data):
-                        yield chip, data
-    finally:
-        database.close()
+                    yield chip, data
+        if troubles and not seen:
+            raise SpoolError(f'{path}: no chip can be read: {troubles[0]}')
 
 
-def _open_damaged(database: sqlite3.Connection, path: Path) -> None:
-    """Open the file of a connection, damaged or not; SpoolError if that is not possible."""
+def _readable(
+    database: sqlite3.Connection, step: int, troubles: list[str]
+) -> Iterator[tuple[StoredChip, bytes | None]]:
+    """Read chips, up (step 1) or down (-1), and go on behind each damaged place."""
+    sign, order = ('>', 'ASC') if step > 0 else ('<', 'DESC')
+    query = f'SELECT data, {_COLUMNS} FROM chips WHERE seq {sign} ? ORDER BY seq {order}'
+    # All chips are behind it.
+    place, skipped = 0 if step > 0 else _MOST_SEQ, 0
+    while skipped < _MOST_SKIPPED:
+        try:
+            for data, *fields in database.execute(query, (place,)):
+                chip = StoredChip(*fields)
+                # Never back, whatever number damage has given to a chip.
+                place, skipped = step * max(step * place, step * chip.seq), 0
+                yield chip, data
+            return
+        except sqlite3.DatabaseError as error:
+            troubles[:] = troubles or [str(error)]
+            place, skipped = place + step, skipped + 1
+
+
+def _connected(path: Path) -> sqlite3.Connection:
+    """Connect to a file for reading; SpoolError if that is not possible."""
+    try:
+        database = sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro', uri=True)
+    except sqlite3.Error as error:
+        raise _not_opened(path, error) from error
+    database.text_factory = lossy_text
+    return database
+
+
+def _prepare_damaged(database: sqlite3.Connection, path: Path) -> None:
+    """Open the file of a connection, damaged or not; SpoolError if it is no catalogue."""
     try:
         # With it, SQLite reads a file that has lost its end.
         database.execute('PRAGMA writable_schema = ON')
         database.execute('PRAGMA schema_version')
     except sqlite3.OperationalError as error:
-        raise SpoolError(
-            f'{path}: {error}; if its disk is read-only, copy all files of the same name to another'
-        ) from error
+        raise _not_opened(path, error) from error
     except sqlite3.DatabaseError:
-        # Damaged: what can be read is found out row by row.
+        # Damaged: how far it can be read is found out below, and row by row.
         pass
+    try:
+        database.execute(f'SELECT data, {_COLUMNS} FROM chips LIMIT 0')
+    except sqlite3.DatabaseError as error:
+        raise SpoolError(
+            f'{path} is no catalogue of a spool, or its start is damaged: {error}'
+        ) from error
+
+
+def _not_opened(path: Path, error: sqlite3.Error) -> SpoolError:
+    """Say that a file cannot be opened, and what helps."""
+    return SpoolError(
+        f'{path}: {error}; it must be readable, and if its disk is read-only, copy all files of '
+        'the same name to another'
+    )

@@ -188,7 +188,7 @@ def test_exported_chips_stay_in_the_spool(folder, tmp_path, capsys) -> None:
     assert len(values(folder)) == 5
 
 
-@pytest.mark.parametrize('state', ['whole', 'damaged', 'truncated', 'garbage'])
+@pytest.mark.parametrize('state', ['whole', 'damaged', 'truncated'])
 def test_the_intact_chips_of_a_damaged_catalogue_are_exported(tmp_path, capsys, state) -> None:
     spool = Spool(tmp_path / 'spool', print, 'writer')
     store(spool, [0.01 * i for i in range(60)], 3000)
@@ -202,16 +202,22 @@ def test_the_intact_chips_of_a_damaged_catalogue_are_exported(tmp_path, capsys, 
             stream.write(b'\xa5' * 8192)
     elif state == 'truncated':
         os.truncate(path, size * 3 // 4)
-    elif state == 'garbage':
-        path.write_bytes(b'\xa5' * size)
     assert run(path, 'export', '-o', tmp_path / 'out') == 0
     found = len(in_outbox(tmp_path / 'out'))
     assert capsys.readouterr().out == f'{found} chips exported\n'
-    low, high = {
-        'whole': (60, 60), 'damaged': (40, 59), 'truncated': (20, 59), 'garbage': (0, 0)
-    }[state]
+    low, high = {'whole': (60, 60), 'damaged': (40, 59), 'truncated': (20, 59)}[state]
     assert low <= found <= high
     assert [Path(each) for each in files(tmp_path / 'spool')] == [path]
+
+
+@pytest.mark.parametrize('content', [b'', b'\xa5' * 9999], ids=len)
+def test_chips_cannot_be_exported_from_what_is_no_catalogue(tmp_path, capsys, content) -> None:
+    path = tmp_path / 'chips_0001_3fa9c2.sqlite3'
+    path.write_bytes(content)
+    assert run(path, 'export', '-o', tmp_path / 'out') == 1
+    output = capsys.readouterr()
+    assert f'obbhbb: {path} is no catalogue of a spool, or its start is damaged: ' in output.err
+    assert output.out == ''
 
 
 def test_a_damaged_catalogue_is_told_of(folder, capsys) -> None:

@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -665,8 +666,57 @@ def test_the_intact_chips_of_a_damaged_catalogue_can_be_read(tmp_path) -> None:
     assert ends[-1] > 25
 
 
+def test_the_intact_chips_between_damaged_places_can_be_read(spool, tmp_path) -> None:
+    store(spool, [i / 500 for i in range(500)])
+    spool.close()
+    (path,) = files(tmp_path)
+    for share in (0.2, 0.5, 0.8):
+        overwrite(share, 2048)(path)
+    # A page holds a few chips.
+    assert 470 <= len(list(intact_chips(path))) < 500
+
+
+def test_the_end_of_a_catalogue_can_be_gone(spool, tmp_path) -> None:
+    store(spool, [i / 500 for i in range(500)])
+    spool.close()
+    (path,) = files(tmp_path)
+    os.truncate(path, path.stat().st_size * 3 // 4)
+    assert 300 <= len(list(intact_chips(path))) < 400
+
+
+def test_a_catalogue_of_which_nothing_can_be_read_is_an_error(spool, tmp_path) -> None:
+    store(spool, [0.5] * 50)
+    spool.close()
+    (path,) = files(tmp_path)
+    with path.open('r+b') as stream:
+        stream.seek(2048)
+        stream.write(bytes(path.stat().st_size - 2048))
+    with pytest.raises(SpoolError, match='no chip can be read: database disk image is malformed'):
+        list(intact_chips(path))
+
+
+def test_a_catalogue_without_chips_has_no_intact_ones(spool, tmp_path) -> None:
+    spool.status()
+    spool.close()
+    assert list(intact_chips(files(tmp_path)[0])) == []
+
+
+@pytest.mark.parametrize('schema', ['', 'CREATE TABLE t (a)', 'CREATE TABLE chips (seq)'])
+def test_another_database_is_no_catalogue(tmp_path, schema) -> None:
+    path = tmp_path / 'other.sqlite3'
+    with closing(sqlite3.connect(path)) as rows:
+        rows.executescript(schema or 'VACUUM')
+    with pytest.raises(SpoolError, match='other.sqlite3 is no catalogue of a spool'):
+        list(intact_chips(path))
+
+
+def test_a_file_that_is_not_there_cannot_be_opened(tmp_path) -> None:
+    with pytest.raises(SpoolError, match='none.sqlite3: unable to open .* must be readable'):
+        list(intact_chips(tmp_path / 'none.sqlite3'))
+
+
 @pytest.mark.parametrize('damage', ["data = x'00'", "facts = '{'", "facts = x'ff'",
-                                    "facts = '[]'", "data = 'text'",
+                                    "facts = '[]'", "data = 'text'", "value = 'text'",
                                     "facts = replace(facts, 'jpeg', 'bmp0')"])
 def test_a_damaged_chip_is_left_out_of_the_intact_ones(tmp_path, damage) -> None:
     path = chips_of(tmp_path)
