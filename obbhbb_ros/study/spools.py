@@ -142,12 +142,19 @@ def _described(chip: StoredChip) -> Mapping[str, Any]:
 def wrong_with(spool: Spool) -> Iterator[str]:
     """Check structure, books and the file of every chip; tell what is wrong."""
     yield from spool.integrity()
-    if balance := spool.status().balance:
-        yield f'the books do not balance: {balance} chips are unaccounted for'
     for chip in track(spool.select(), 'checking'):
         data = spool.data(chip.seq)
         if data is not None and describe_intact(chip, data) is None:
             yield f'{chip.id}: its file is damaged'
+    # Last: what came before may have found the catalogue damaged.
+    status = spool.status()
+    if status.balance:
+        yield f'the books do not balance: {status.balance} chips are unaccounted for'
+    if status.set_aside:
+        yield (
+            f'{status.set_aside} damaged catalogues are set aside, each with a file *.damaged '
+            "beside it: 'obbhbb spool FILE export' writes their intact chips"
+        )
 
 
 def export(chips: Iterable[tuple[StoredChip, bytes]], folder: Path) -> int:

@@ -229,6 +229,19 @@ def test_a_damaged_catalogue_is_told_of(folder, capsys) -> None:
     assert f'{path} is damaged and set aside' in output.err
 
 
+def test_a_spool_with_a_damaged_catalogue_is_not_in_order(folder, capsys) -> None:
+    (path,) = files(folder)
+    path.write_bytes(b'garbage' * 9999)
+    for _ in range(2):
+        assert run(folder, 'check') == 1
+        (line,) = capsys.readouterr().out.splitlines()
+        assert line.startswith('1 damaged catalogues are set aside')
+        assert "'obbhbb spool FILE export'" in line
+    path.unlink()
+    path.with_name(path.name + DAMAGED).unlink()
+    assert run(folder, 'check') == 0
+
+
 def test_a_catalogue_that_cannot_be_opened_is_an_error(tmp_path, capsys) -> None:
     spool = Spool(tmp_path / 'spool', print, 'writer')
     store(spool, [0.5])

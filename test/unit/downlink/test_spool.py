@@ -706,12 +706,12 @@ def test_another_database_is_no_catalogue(tmp_path, schema) -> None:
     path = tmp_path / 'other.sqlite3'
     with closing(sqlite3.connect(path)) as rows:
         rows.executescript(schema or 'VACUUM')
-    with pytest.raises(SpoolError, match='other.sqlite3 is no catalogue of a spool'):
+    with pytest.raises(SpoolError, match=r'other\.sqlite3 is no catalogue of a spool'):
         list(intact_chips(path))
 
 
 def test_a_file_that_is_not_there_cannot_be_opened(tmp_path) -> None:
-    with pytest.raises(SpoolError, match='none.sqlite3: unable to open .* must be readable'):
+    with pytest.raises(SpoolError, match=r'none\.sqlite3: unable to open .* must be readable'):
         list(intact_chips(tmp_path / 'none.sqlite3'))
 
 
