@@ -456,10 +456,13 @@ def _spool(options: _Options) -> int:
         options.class_ids, options.ids, options.min_value, options.max_value
     )
     if options.spool.is_file() and options.action == 'export':
-        print(f'{spools.export(intact_chips(options.spool), options.output)} chips exported')
+        chips = (each for each in intact_chips(options.spool) if condition.matches(each[0]))
+        print(f'{spools.export(chips, options.output)} chips exported')
         return 0
     if options.action in ('delete', 'revalue') and condition.is_any and not options.all:
         raise ValueError(f'{options.action}: which chips? Give a condition, or --all')
+    if options.action in ('check', 'forget-outbox') and not condition.is_any:
+        raise ValueError(f'{options.action}: takes no condition, it is for the whole spool')
     spool = spools.open_spool(options.spool)
     try:
         return SPOOL_ACTIONS[options.action](spool, condition, options)

@@ -63,6 +63,14 @@ class Condition:
                 found += wanted
         return ' AND '.join(clauses), found
 
+    def matches(self, chip: StoredChip) -> bool:
+        """Return whether a chip is meant, as `sql` has it."""
+        return (
+            self.min_value <= chip.value <= self.max_value
+            and (not self.class_ids or chip.class_id in self.class_ids)
+            and (not self.ids or chip.id in self.ids)
+        )
+
 
 def open_spool(folder: Path) -> Spool:
     """Open a spool that exists; ValueError if there is none."""

@@ -142,6 +142,8 @@ def test_deleted_chips_are_counted(folder, capsys, options, waiting) -> None:
         (['revalue', '--all', '--to', '1', '--by', '2'], 'either --to or --by'),
         (['revalue', '--all', '--to', 'nan'], 'finite'),
         (['revalue', '--all', '--by', 'inf'], 'finite'),
+        (['check', '--class', 'tug'], 'check: takes no condition'),
+        (['forget-outbox', '--min-value', '0.5'], 'forget-outbox: takes no condition'),
     ],
 )
 def test_what_is_unclear_changes_nothing(folder, capsys, options, words) -> None:
@@ -208,6 +210,26 @@ def test_the_intact_chips_of_a_damaged_catalogue_are_exported(tmp_path, capsys, 
     low, high = {'whole': (60, 60), 'damaged': (40, 59), 'truncated': (20, 59)}[state]
     assert low <= found <= high
     assert [Path(each) for each in files(tmp_path / 'spool')] == [path]
+
+
+@pytest.mark.parametrize(
+    ('options', 'exported'),
+    [
+        ([], [0.7, 0.6, 0.5, 0.4, 0.3, 0.2]),
+        (['--class', 'tug'], [0.7, 0.5, 0.3]),
+        (['--class', 'tug', '--max-value', '0.5'], [0.5, 0.3]),
+        (['--min-value', '0.5'], [0.7, 0.6, 0.5]),
+        (['--id', '5_000000000_{tag}_4', '5_000000000_{tag}_7'], [0.6, 0.3]),
+        (['--class', 'x'], []),
+    ],
+    ids=str,
+)
+def test_conditions_select_chips_of_a_catalogue(folder, tmp_path, options, exported) -> None:
+    (path,) = files(folder)
+    tag = path.stem.rpartition('_')[2]
+    out = tmp_path / 'out'
+    assert run(path, 'export', '-o', out, *(each.format(tag=tag) for each in options)) == 0
+    assert values_in_outbox(out) == exported
 
 
 @pytest.mark.parametrize('content', [b'', b'\xa5' * 9999], ids=len)
