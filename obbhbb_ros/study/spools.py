@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
@@ -73,7 +74,10 @@ class Condition:
 
 
 def open_spool(folder: Path) -> Spool:
-    """Open a spool that exists; ValueError if there is none."""
+    """Open a spool that exists; ValueError if there is none, OSError if it cannot be listed."""
+    if folder.is_dir():
+        # A search for files does not tell of an error.
+        os.listdir(folder)
     if not any(map(in_use, files(folder))):
         raise ValueError(
             f'{folder} is no spool: it has no file chips_*.sqlite3 that is not set aside'

@@ -3,6 +3,8 @@
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -159,6 +161,21 @@ def test_a_folder_without_spool_is_left_alone(tmp_path, capsys, action) -> None:
     assert run(tmp_path, action, '--all') == 1
     assert f'{tmp_path} is no spool' in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_listed_is_not_said_to_be_without_spool(folder) -> None:
+    folder.chmod(0o300)
+    # Root reads any folder, but for these capabilities.
+    held = '-dac_override,-dac_read_search'
+    limited = ['setpriv', '--bounding-set', held, '--inh-caps', held] if os.getuid() == 0 else []
+    done = subprocess.run(
+        [*limited, sys.executable, '-m', 'obbhbb_ros.cli', 'spool', folder],
+        capture_output=True, text=True, check=False,
+    )
+    folder.chmod(0o700)
+    assert done.returncode == 1
+    assert 'Permission denied' in done.stderr
+    assert 'Traceback' not in done.stderr
 
 
 def test_a_sound_spool_is_in_order(folder, capsys) -> None:
