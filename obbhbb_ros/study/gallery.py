@@ -97,7 +97,7 @@ def read_received(folder: Path) -> Received:
     """
     Read the chips of an outbox, or of any folder that received one, and check their files.
 
-    All folders in it are searched; names that begin with a dot are left out, as files are not
+    All folders in it are searched, symbolic links included; names that begin with a dot are left out, as files are not
     complete under such names. Raises NotADirectoryError if there is no such folder.
     """
     if not folder.is_dir():
@@ -168,11 +168,17 @@ def gallery_page(received: Received, beside: Path, title: str, limit: int = 0) -
 
 
 def _files(folder: Path, problems: list[str]) -> Iterator[Path]:
-    """Find the regular files in a folder and all below it."""
+    """Find the regular files in a folder and all below it, each folder once."""
     def report(error: OSError) -> None:
         problems.append(printable(str(error)))
 
-    for place, folders, names in os.walk(folder, onerror=report):
+    # Of a link that leads up, nothing is new.
+    searched = set(folder.resolve().parents)
+    for place, folders, names in os.walk(folder, onerror=report, followlinks=True):
+        if (real := Path(place).resolve()) in searched:
+            folders.clear()
+            continue
+        searched.add(real)
         folders[:] = [name for name in folders if not name.startswith('.')]
         for name in names:
             path = Path(place, name)

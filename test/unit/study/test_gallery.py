@@ -170,6 +170,24 @@ def test_folders_are_searched_and_files_that_are_not_complete_left_out(tmp_path,
     assert 'chips: 2, problems: 0' in capsys.readouterr().out
 
 
+def test_links_to_folders_are_followed_and_each_folder_is_searched_once(tmp_path, capsys) -> None:
+    box = tmp_path / 'box'
+    make_outbox(tmp_path / 'other disk', 2)
+    make_outbox(tmp_path / 'beside', 1)
+    make_outbox(box / 'own', 3)
+    (box / '0').symlink_to(tmp_path / 'other disk' / '0')
+    (box / 'again').symlink_to(box / 'own')
+    (box / 'own' / 'loop').symlink_to(box)
+    (box / 'own' / 'up').symlink_to(tmp_path)
+    (box / 'self').symlink_to('self')
+    (box / 'gone').symlink_to('nowhere')
+    pictures = gallery(box).all('img')
+    assert len(pictures) == 5
+    for picture in pictures:
+        assert (tmp_path / 'page' / unquote(picture['src'])).is_file()
+    assert 'chips: 5, problems: 0' in capsys.readouterr().out
+
+
 def test_hostile_texts_are_shown_as_they_are_and_do_nothing(tmp_path, capsys) -> None:
     facts, chip = a_chip(id='plain', class_id=HOSTILE, frame_id=HOSTILE)
     record = put(tmp_path / 'box', facts, chip)
