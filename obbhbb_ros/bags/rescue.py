@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
+from collections.abc import Mapping
 from contextlib import closing
 from io import BytesIO
 from pathlib import Path
@@ -43,6 +44,7 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from obbhbb_ros.bags.topics import VERSION
 from obbhbb_ros.bags.topics import add_topic
+from obbhbb_ros.downlink.catalogue import lossy_text
 
 _SUFFIXES = ('.mcap', '.db3')
 # Opcode, length, first and last time, size, checksum, length of the compression's name.
@@ -51,6 +53,8 @@ _MOST_OF_A_CHUNK = 2**26
 # Bytes of a chunk that are decompressed at once.
 _PIECE = 256
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+# What a damaged table leads to.
+_TABLE_ERRORS = (sqlite3.Error, UnicodeError, LookupError)
 
 Report: TypeAlias = Callable[[str], None]
 
@@ -306,36 +310,50 @@ def _text(error: Exception) -> str:
     """Say what went wrong, also where an error says nothing."""
     if isinstance(error, EndOfFile):
         return 'the file ends there'
+    if isinstance(error, KeyError):
+        return f'{error} is missing'
     return str(error) or type(error).__name__
 
 
 def _sqlite_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, bytes]]:
     """Read the messages of an SQLite3 file in the order in which they were recorded."""
     with closing(sqlite3.connect(path)) as base:
+        # One wrong byte in a definition costs nothing but itself.
+        base.text_factory = lossy_text
         try:
             # Also opens a file that is shorter than it says.
             base.execute('PRAGMA writable_schema = ON')
-            topics = _sqlite_topics(base)
-        except sqlite3.Error as error:
-            lose(f'{path.name}: nothing can be read: {error}')
+            topics = _sqlite_topics(base, path.name, lose)
+        except _TABLE_ERRORS as error:
+            lose(f'{path.name}: nothing can be read: {_text(error)}')
             return
         for number in _numbers(base, path.name, lose):
             try:
-                identity, moment, data = base.execute(
-                    'SELECT topic_id, timestamp, data FROM messages WHERE id = ?', (number,)
-                ).fetchone()
-                topic = topics[identity]
-            except (sqlite3.Error, TypeError, KeyError) as error:
+                yield _sqlite_message(base, topics, number)
+            except (sqlite3.Error, LookupError) as error:
                 lose(f'{path.name}: message {number} is lost: {error}')
-            else:
-                yield topic, moment, data
 
 
-def _sqlite_topics(base: sqlite3.Connection) -> dict[int, _Topic]:
+def _sqlite_message(
+    base: sqlite3.Connection, topics: Mapping[int, _Topic], number: int
+) -> tuple[_Topic, int, bytes]:
+    """Read a message; LookupError if it is none any more."""
+    row = base.execute(
+        'SELECT topic_id, timestamp, data FROM messages WHERE id = ? AND timestamp >= 0 '
+        "AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'",
+        (number,),
+    ).fetchone()
+    if row is None:
+        raise LookupError('it is damaged')
+    identity, moment, data = row
+    if identity not in topics:
+        raise LookupError('it is of no known topic')
+    return topics[identity], moment, data
+
+
+def _sqlite_topics(base: sqlite3.Connection, name: str, lose: Report) -> dict[int, _Topic]:
     """Read the topics; older versions say less of them."""
-    definitions = {}
-    for row in _rows(base, 'message_definitions'):
-        definitions[row['topic_type']] = row['encoding'], row['encoded_message_definition']
+    definitions = _sqlite_definitions(base, name, lose)
     found = {}
     for row in _rows(base, 'topics'):
         encoding, definition = definitions.get(row['type'], ('', ''))
@@ -344,6 +362,20 @@ def _sqlite_topics(base: sqlite3.Connection) -> dict[int, _Topic]:
             row.get('type_description_hash', ''), row.get('offered_qos_profiles', ''),
         )
     return found
+
+
+def _sqlite_definitions(
+    base: sqlite3.Connection, name: str, lose: Report
+) -> dict[str, tuple[str, str]]:
+    """Read encoding and text of the types; messages can be converted without."""
+    try:
+        return {
+            row['topic_type']: (row['encoding'], row['encoded_message_definition'] or '')
+            for row in _rows(base, 'message_definitions')
+        }
+    except _TABLE_ERRORS as error:
+        lose(f'{name}: the definitions of the types are lost: {_text(error)}')
+        return {}
 
 
 def _rows(base: sqlite3.Connection, table: str) -> list[dict[str, Any]]:

@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from collections.abc import Sequence
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -658,6 +659,100 @@ def test_damage_within_sqlite3_costs_only_what_is_damaged(tmp_path: Path, run: A
     made = messages_of(tmp_path / 'out')
     assert len(set(on('/detections', made)) & set(on('/detections', long_scene()))) >= 25
     assert 'in.db3: message' in err
+
+
+def first_page_of(path: Path, table: str) -> int:
+    """Find where the first page of a table begins."""
+    with closing(sqlite3.connect(path)) as base:
+        (page,) = base.execute(
+            'SELECT rootpage FROM sqlite_master WHERE name = ?', (table,)
+        ).fetchone()
+    return int(page - 1) * 4096
+
+
+def text_of_a_definition(path: Path) -> None:
+    """Damage a byte of a definition."""
+    data = bytearray(path.read_bytes())
+    data[data.index(b'std_msgs/Header header')] = 255
+    path.write_bytes(data)
+
+
+def table_of_definitions(path: Path) -> None:
+    """Damage all definitions."""
+    start, data = first_page_of(path, 'message_definitions'), bytearray(path.read_bytes())
+    data[start : start + 4096] = bytes(255 for _ in range(4096))
+    path.write_bytes(data)
+
+
+def name_of_a_column(path: Path) -> None:
+    """Damage the name of a column."""
+    path.write_bytes(path.read_bytes().replace(b'topic_type TEXT', b'topik_type TEXT'))
+
+
+def text_of_a_column(path: Path) -> None:
+    """Damage the name of a column beyond what is text."""
+    path.write_bytes(path.read_bytes().replace(b'topic_type TEXT', b'topi\xff_type TEXT'))
+
+
+@pytest.mark.parametrize(
+    ('damage', 'complaint'),
+    [
+        (text_of_a_definition, ''),
+        (table_of_definitions, 'in.db3: the definitions of the types are lost: '),
+        (name_of_a_column, "are lost: 'topic_type' is missing"),
+        (text_of_a_column, 'in.db3: the definitions of the types are lost: '),
+    ],
+)
+def test_damaged_definitions_cost_no_message_of_sqlite3(
+    tmp_path: Path, run: Any, damage: Callable[[Path], None], complaint: str
+) -> None:
+    bag = record(tmp_path / 'in', TOPICS, scene(), 'sqlite3')
+    damage(bag / 'in.db3')
+    code, _, err = run()
+    assert code == 0
+    assert complaint in err
+    assert 'messages are missing' not in err
+    assert answers(tmp_path / 'out') == expected(scene())
+    assert [each for each in messages_of(tmp_path / 'out') if each.topic in TOPICS] == scene()
+
+
+def test_a_damaged_table_of_topics_is_an_error_that_names_what_is_missing(
+    tmp_path: Path, run: Any
+) -> None:
+    bag = record(tmp_path / 'in', TOPICS, scene(), 'sqlite3')
+    path = bag / 'in.db3'
+    path.write_bytes(path.read_bytes().replace(b'type TEXT', b'tipe TEXT'))
+    code, _, err = run()
+    assert code == 1
+    assert "in.db3: nothing can be read: 'type' is missing" in err
+
+
+@pytest.mark.parametrize(
+    ('values', 'complaint'),
+    [
+        ("data = 'text'", 'it is damaged'), ('data = NULL', 'it is damaged'),
+        ("timestamp = 'noon'", 'it is damaged'), ('timestamp = -1', 'it is damaged'),
+        ('topic_id = 77', 'it is of no known topic'),
+    ],
+)
+def test_a_row_that_is_no_message_any_more_costs_only_itself(
+    tmp_path: Path, run: Any, values: str, complaint: str
+) -> None:
+    bag = record(tmp_path / 'in', TOPICS, scene(), 'sqlite3')
+    with closing(sqlite3.connect(bag / 'in.db3')) as base:
+        base.executescript(f"""
+            CREATE TABLE loose AS SELECT * FROM messages;
+            DROP TABLE messages;
+            ALTER TABLE loose RENAME TO messages;
+            UPDATE messages SET {values} WHERE id = 4;
+        """)
+    (bag / 'metadata.yaml').unlink()
+    code, out, err = run()
+    assert code == 0
+    assert f'in.db3: message 4 is lost: {complaint}\n' in err
+    assert 'messages or parts lost: 1' in out
+    given = scene()
+    assert answers(tmp_path / 'out') == expected([*given[:3], *given[4:]])
 
 
 def test_what_sqlite3_had_not_moved_into_its_file_is_not_lost(tmp_path: Path, run: Any) -> None:
