@@ -97,8 +97,9 @@ def read_received(folder: Path) -> Received:
     """
     Read the chips of an outbox, or of any folder that received one, and check their files.
 
-    All folders in it are searched, symbolic links included; names that begin with a dot are left out, as files are not
-    complete under such names. Raises NotADirectoryError if there is no such folder.
+    All folders in it are searched, symbolic links included; names that begin with a dot are left
+    out, as files are not complete under such names. Raises NotADirectoryError if there is no such
+    folder.
     """
     if not folder.is_dir():
         raise NotADirectoryError(f'{folder}: no such folder')
