@@ -12,8 +12,8 @@ from __future__ import annotations
 import base64
 import io
 import json
-import math
 import os
+import sys
 from collections import Counter
 from collections.abc import Callable
 from collections.abc import Iterator
@@ -70,10 +70,9 @@ class Chip:
     size: int | None
 
     @property
-    def rank(self) -> tuple[float, int, int, str]:
+    def rank(self) -> tuple[float, int, str]:
         """Sort key: the most valuable first, then the oldest."""
-        stamp = self.facts['stamp']
-        return -self.facts['value'], stamp['sec'], stamp['nanosec'], self.facts['id']
+        return -self.facts['value'], _nanoseconds(self.facts['stamp']), self.facts['id']
 
 
 @dataclass
@@ -97,9 +96,9 @@ def read_received(folder: Path) -> Received:
     """
     Read the chips of an outbox, or of any folder that received one, and check their files.
 
-    All folders in it are searched, symbolic links included; names that begin with a dot are left
-    out, as files are not complete under such names. Raises NotADirectoryError if there is no such
-    folder.
+    All folders in it are searched, those behind symbolic links as well; names that begin with a
+    dot are left out, as files are not complete under such names. Raises NotADirectoryError if
+    there is no such folder.
     """
     if not folder.is_dir():
         raise NotADirectoryError(f'{folder}: no such folder')
@@ -156,7 +155,7 @@ def gallery_page(received: Received, beside: Path, title: str, limit: int = 0) -
     cards = [
         _card(chip, numbers, beside, received.problems) for chip in track(chips, 'drawing')
     ]
-    stamps = sorted((chip.facts['stamp'] for chip in received.chips), key=_instant)
+    stamps = sorted((chip.facts['stamp'] for chip in received.chips), key=_nanoseconds)
     return environment().get_template('gallery.html').render(
         title=printable(title),
         total=len(received.chips),
@@ -225,7 +224,8 @@ def _is_whole(value: Any, least: int = 0, most: int = 2**32 - 1) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and abs(value) < 1e300
+    # Any that is finite, as for the chips of a spool.
+    return type(value) in (int, float) and abs(value) <= sys.float_info.max
 
 
 def _is_list(count: int | None, is_right: Callable[[Any], bool]) -> Callable[[Any], bool]:
@@ -240,9 +240,10 @@ def _or_null(is_right: Callable[[Any], bool]) -> Callable[[Any], bool]:
 
 
 def _is_stamp(value: Any) -> bool:
-    return isinstance(value, dict) and _is_whole(value.get('sec')) and _is_whole(
-        value.get('nanosec'), most=10**9 - 1
-    )
+    # Whatever fits into builtin_interfaces/msg/Time.
+    return isinstance(value, dict) and _is_whole(
+        value.get('sec'), least=-2**31, most=2**31 - 1
+    ) and _is_whole(value.get('nanosec'))
 
 
 def _is_roi(value: Any) -> bool:
@@ -287,7 +288,7 @@ def _card(
         'score': facts['score'],
         'value': facts['value'],
         'time': _utc(facts['stamp']),
-        'stamp': '{sec}.{nanosec:09d}'.format(**facts['stamp']),
+        'stamp': _stamp(facts['stamp']),
         'frame_id': printable(facts['frame_id']),
         'detections': len(facts['detection_ids']),
         'roi': facts['roi'],
@@ -358,11 +359,19 @@ def _stretched(pixels: NDArray[Any]) -> NDArray[np.uint8]:
 
 # Texts ----------------------------------------------------------------------------------------
 
-def _instant(stamp: dict[str, int]) -> tuple[int, int]:
-    return stamp['sec'], stamp['nanosec']
+def _nanoseconds(stamp: dict[str, int]) -> int:
+    """Return a stamp as a number."""
+    return stamp['sec'] * 10**9 + stamp['nanosec']
+
+
+def _stamp(stamp: dict[str, int]) -> str:
+    """Write a stamp as it is; as a decimal number if that cannot be misread."""
+    plain = stamp['sec'] >= 0 and stamp['nanosec'] < 10**9
+    return ('{sec}.{nanosec:09d}' if plain else '{sec} s + {nanosec} ns').format(**stamp)
 
 
 def _utc(stamp: dict[str, int]) -> str:
     """Write a stamp as date and time of day, to the millisecond."""
-    whole = _EPOCH + timedelta(seconds=stamp['sec'])
-    return f'{whole:%Y-%m-%d %H:%M:%S}.{math.floor(stamp["nanosec"] / 1e6):03d} UTC'
+    seconds, rest = divmod(_nanoseconds(stamp), 10**9)
+    whole = _EPOCH + timedelta(seconds=seconds)
+    return f'{whole:%Y-%m-%d %H:%M:%S}.{rest // 10**6:03d} UTC'

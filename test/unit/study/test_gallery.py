@@ -16,8 +16,12 @@ from outboxes import a_chip
 from outboxes import make_outbox
 from outboxes import put
 from PIL import Image
+from spooled import store
 
 from obbhbb_ros.cli import main
+from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.study.spools import export
+from obbhbb_ros.study.spools import files_of
 
 pytest.importorskip('jinja2')
 
@@ -206,8 +210,9 @@ def test_hostile_texts_are_shown_as_they_are_and_do_nothing(tmp_path, capsys) ->
 
 
 WRONG = [
-    ('id', 5), ('stamp', 1.5), ('stamp', {'sec': 1}), ('stamp', {'sec': 1, 'nanosec': 10**9}),
-    ('stamp', {'sec': 10**12, 'nanosec': 0}), ('stamp', {'sec': True, 'nanosec': 0}),
+    ('id', 5), ('stamp', 1.5), ('stamp', {'sec': 1}), ('stamp', {'sec': 1, 'nanosec': 2**32}),
+    ('stamp', {'sec': 2**31, 'nanosec': 0}), ('stamp', {'sec': 0, 'nanosec': -1}),
+    ('stamp', {'sec': True, 'nanosec': 0}),
     ('frame_id', None), ('roi', [1, 2, 3]), ('roi', [1, 2, 3, 0]), ('roi', [1, 2, 3.5, 4]),
     ('roi', {}), ('image_size', [0, 5]), ('image_size', '10x10'), ('class_id', ['tug']),
     ('score', '0.5'), ('score', float('nan')), ('value', None), ('value', float('inf')),
@@ -227,6 +232,39 @@ def test_a_wrong_type_is_a_problem_that_names_file_and_key(tmp_path, capsys, key
     for said in (page.text, capsys.readouterr().err):
         assert re.search(rf"0/bad\.json: key '{key}' is not \w", said)
         assert '0/bad.jpg: no usable JSON; 1 such files in all' in said
+
+
+@pytest.mark.parametrize(
+    ('sec', 'nanosec', 'stamp', 'utc'),
+    [
+        (-5, 250_000_000, '-5 s + 250000000 ns', '1969-12-31 23:59:55.250 UTC'),
+        (7, 4_000_000_000, '7 s + 4000000000 ns', '1970-01-01 00:00:11.000 UTC'),
+        (-2**31, 0, '-2147483648 s + 0 ns', '1901-12-13 20:45:52.000 UTC'),
+        (2**31 - 1, 2**32 - 1, '2147483647 s + 4294967295 ns', '2038-01-19 03:14:11.294 UTC'),
+    ],
+)
+def test_any_stamp_of_an_image_is_shown(tmp_path, sec, nanosec, stamp, utc) -> None:
+    put(tmp_path / 'box', *a_chip(stamp={'sec': sec, 'nanosec': nanosec}))
+    text = ' '.join(gallery(tmp_path / 'box').text.split())
+    assert f'{utc}{stamp} camera' in text
+
+
+def test_chips_of_equal_value_are_in_the_order_of_time_whatever_their_stamps(tmp_path) -> None:
+    for name, sec, nanosec in (('a', 1, 4 * 10**9), ('b', 2, 0), ('c', -3, 10**9)):
+        put(tmp_path / 'box', *a_chip(id=name, stamp={'sec': sec, 'nanosec': nanosec}))
+    links = [each['href'] for each in gallery(tmp_path / 'box').all('a')]
+    assert [Path(link).stem for link in links] == ['c', 'b', 'a']
+
+
+@pytest.mark.parametrize(('factor', 'shown'), [(1e308, '1.798e+308'), (-1e308, '-1.798e+308')])
+def test_every_value_that_a_spool_can_give_is_shown(tmp_path, capsys, factor, shown) -> None:
+    spool = Spool(tmp_path / 'spool', print)
+    store(spool, [5.0, 6.0, 7.0])
+    assert spool.revalue('1', [], factor, 0.0) == 3
+    assert export(files_of(spool, spool.select()), tmp_path / 'box') == 3
+    spool.close()
+    assert f' value {shown}' in gallery(tmp_path / 'box').text
+    assert 'chips: 3, problems: 0' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize('key', a_chip()[0])
