@@ -53,6 +53,10 @@ _MOST_OF_A_CHUNK = 2**26
 # Bytes of a chunk that are decompressed at once.
 _PIECE = 256
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+# Above all numbers of messages.
+_NUMBERS = 2**62
+# One damaged page of an SQLite file makes fewer messages than this unreadable.
+_MOST_UNREADABLE = 100_000
 # What a damaged table leads to.
 _TABLE_ERRORS = (sqlite3.Error, UnicodeError, LookupError)
 
@@ -388,15 +392,38 @@ def _rows(base: sqlite3.Connection, table: str) -> list[dict[str, Any]]:
 
 
 def _numbers(base: sqlite3.Connection, name: str, lose: Report) -> list[int]:
-    """List the messages that are there, from both ends up to where the file is damaged."""
-    found: dict[int, None] = {}
-    for order in ('ASC', 'DESC'):
-        try:
-            for (number,) in base.execute(f'SELECT id FROM messages ORDER BY id {order}'):
-                found[number] = None
-        except sqlite3.Error as error:
-            if order == 'ASC':
-                lose(f'{name}: messages behind number {max(found, default=0)} are lost: {error}')
-        else:
-            break
-    return sorted(found)
+    """List the messages that are there: from both ends, and between damaged places."""
+    found, error = _scan(base, 'ORDER BY id')
+    if error is None:
+        return found
+    behind, _ = _scan(base, 'ORDER BY id DESC')
+    # The first number that is not read, and the first that is known again.
+    bad, end = max(found[-1:], default=0) + 1, min(behind[-1:], default=_NUMBERS)
+    start = bad
+    while error and start < end and start - bad < _MOST_UNREADABLE:
+        more, again = _scan(base, 'WHERE id >= ? AND id < ? ORDER BY id', start, end)
+        if again and not more:
+            start += 1
+            continue
+        last = min(more[:1], default=end) - 1
+        lose(f'{name}: messages {bad} to {last} are lost: {error}')
+        found += more
+        bad = start = max(start, *more[-1:]) + 1
+        error = again
+    if error and bad < end:
+        until = f' to {end - 1}' if behind else ' and on'
+        lose(f'{name}: messages {bad}{until} are lost: {error}')
+    return sorted({*found, *behind})
+
+
+def _scan(
+    base: sqlite3.Connection, which: str, *values: int
+) -> tuple[list[int], sqlite3.Error | None]:
+    """List messages up to where the file is damaged, and say how."""
+    found: list[int] = []
+    try:
+        for (number,) in base.execute(f'SELECT id FROM messages {which}', values):
+            found.append(number)
+    except sqlite3.Error as error:
+        return found, error
+    return found, None

@@ -45,6 +45,7 @@ from rosbags.typesys import get_types_from_msg
 from rosbags.typesys import get_typestore
 
 from obbhbb_ros.bags import replay
+from obbhbb_ros.bags.rescue import _numbers
 from obbhbb_ros.bags.rescue import _unpacked
 from obbhbb_ros.bags.topics import OUTPUT_HASH
 from obbhbb_ros.bags.topics import OUTPUT_TYPE
@@ -659,6 +660,40 @@ def test_damage_within_sqlite3_costs_only_what_is_damaged(tmp_path: Path, run: A
     made = messages_of(tmp_path / 'out')
     assert len(set(on('/detections', made)) & set(on('/detections', long_scene()))) >= 25
     assert 'in.db3: message' in err
+
+
+@pytest.mark.parametrize('places', [(600, 1400), (0, 1000, 1999)])
+def test_messages_between_damaged_places_of_sqlite3_are_kept(
+    tmp_path: Path, run: Any, places: Sequence[int]
+) -> None:
+    given = [
+        Recorded('/note', i, pack('String', build('String', data=f'note {i:04}')))
+        for i in range(2000)
+    ]
+    given.insert(700, Recorded('/detections', 700, detections('Detection2DArray', ROWS[0])))
+    bag = record(tmp_path / 'in', TOPICS, given, 'sqlite3')
+    data = bytearray((bag / 'in.db3').read_bytes())
+    for place in places:
+        start = data.index(f'note {place:04}'.encode()) // 4096 * 4096
+        data[start : start + 4096] = bytes(255 for _ in range(4096))
+    (bag / 'in.db3').write_bytes(data)
+    code, _, err = run()
+    assert code == 0
+    found = re.findall(r'in.db3: messages (\d+) (?:to (\d+)|and on) are lost', err)
+    # Numbers begin with 1.
+    lost = [range(int(first) - 1, int(last or len(given))) for first, last in found]
+    assert len(lost) == len(places)
+    assert max(map(len, lost)) < 200
+    kept = [each for i, each in enumerate(given) if not any(i in part for part in lost)]
+    assert [each for each in messages_of(tmp_path / 'out') if each.topic in TOPICS] == kept
+    assert f'{len(given) - len(kept)} messages are missing' in err
+
+
+def test_the_search_for_messages_of_sqlite3_ends_where_nothing_can_be_read() -> None:
+    losses: list[str] = []
+    with closing(sqlite3.connect(':memory:')) as base:
+        assert _numbers(base, 'in.db3', losses.append) == []
+    assert losses == ['in.db3: messages 1 and on are lost: no such table: messages']
 
 
 def first_page_of(path: Path, table: str) -> int:
