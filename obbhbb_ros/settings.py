@@ -14,6 +14,7 @@ import os
 import re
 from collections.abc import Callable
 from collections.abc import Iterable
+from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -119,7 +120,7 @@ class Parameter:
             If it has another type than the default, is out of range, or is none of the choices;
             the message names the parameter.
         """
-        if type(value) is not type(self.default):
+        if not self._has_type(value):
             raise ValueError(f'{self.name} must be a {self.type_name}, not {value!r}')
         if self.choices and value not in self.choices:
             raise ValueError(f'{self.name} must be one of {self.range_text}, not {value!r}')
@@ -127,6 +128,12 @@ class Parameter:
             return
         if math.isnan(value) or not self.low <= value <= self.high:
             raise ValueError(f'{self.name} must be {self.range_text}, not {value}')
+
+    def _has_type(self, value: Value) -> bool:
+        """Tell whether a value has the type of the default, in a list each of its elements."""
+        if isinstance(value, list) and isinstance(self.default, list):
+            return all(type(each) is type(self.default[0]) for each in value)
+        return type(value) is type(self.default)
 
 
 @dataclass(frozen=True)
@@ -220,13 +227,14 @@ def read_values(path: Path, node: str) -> Values:
     path : Path
         A YAML file as `--params-file` takes it.
     node : str
-        Full name of the node, such as '/obb_to_hbb'.
+        Full name of the node, such as '/obb_to_hbb'; the first slash may be missing.
 
     Returns
     -------
     dict of str to value
         Values by parameter name, of all sections whose name fits; `*` stands for one part of a
-        name, `**` for any number of them. A later section wins.
+        name, `**` for any number of them. A section may be within those of its namespaces. A later
+        section wins.
 
     Raises
     ------
@@ -241,24 +249,55 @@ def read_values(path: Path, node: str) -> Values:
     >>> OBB_TO_HBB.settings(read_values(path, '/obb_to_hbb')).rules[0].q  # doctest: +SKIP
     3.0
     """
-    # Comes with ROS, and is needed without it only here.
-    import yaml
-
-    try:
-        document = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f'{path}: {error}') from None
+    node = '/' + node.lstrip('/')
     values: Values = {}
-    for name, section in document.items() if isinstance(document, dict) else ():
-        pattern = re.escape(f'/{str(name).lstrip("/")}')
-        pattern = pattern.replace(r'/\*\*', '(/[^/]+)*').replace(r'\*', '[^/]+')
+    for name, section in _sections(_document(path)):
+        pattern = re.escape(name).replace(r'/\*\*', '(/[^/]+)*').replace(r'\*', '[^/]+')
         if re.fullmatch(pattern, node):
-            if not isinstance(section, dict) or 'ros__parameters' not in section:
-                raise ValueError(f'{path}: no ros__parameters in {name}')
-            values.update(_flattened(section['ros__parameters']))
+            values.update(_flattened(_parameters(path, name, section)))
     if not values:
         raise ValueError(f'{path}: no parameters for {node}')
     return values
+
+
+def _document(path: Path) -> Any:
+    """Read a YAML file; numbers are those of ROS."""
+    # Comes with ROS, and is needed without it only here.
+    import yaml
+
+    class Loader(yaml.SafeLoader):  # type: ignore[misc]
+        """Takes 1e1 for a number as well."""
+
+    Loader.add_implicit_resolver(
+        'tag:yaml.org,2002:float', re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$'),
+        list('-+.0123456789'),
+    )
+    try:
+        return yaml.load(path.read_text(encoding='utf-8'), Loader)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f'{path}: {error}') from None
+
+
+def _sections(content: Any, name: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield the sections of a parameter file, those within namespaces too, by full name."""
+    yield name, content
+    for key, inner in content.items() if isinstance(content, dict) else ():
+        if key != 'ros__parameters':
+            yield from _sections(inner, re.sub('/+', '/', f'{name}/{key}'))
+
+
+def _parameters(path: Path, name: str, section: Any) -> Mapping[str, Any]:
+    """Return the parameters of a section; none if it is a namespace of others, or empty."""
+    inner = section if isinstance(section, dict) else {name: section}
+    nested = all(isinstance(each, dict) for each in inner.values())
+    if not nested and 'ros__parameters' not in inner:
+        raise ValueError(f'{path}: no ros__parameters in {name}')
+    parameters = inner.get('ros__parameters')
+    if not isinstance(parameters, dict | None):
+        raise ValueError(
+            f'{path}: ros__parameters in {name} must be names and values, not {parameters!r}'
+        )
+    return parameters or {}
 
 
 def _flattened(section: Mapping[str, Any], prefix: str = '') -> Values:

@@ -62,6 +62,9 @@ FEW_MESSAGES = 4000
 
 UNREADABLE = 'unreadable message'
 
+# Parameters that ROS itself gives each node, besides `qos_overrides`.
+_OF_EVERY_NODE = {'use_sim_time', 'start_type_description_service'}
+
 _STRETCH_BYTES = 2**20
 _STRETCHES_AHEAD = 8
 
@@ -246,7 +249,10 @@ def _settings(topics: Topics, options: Options, report: Report) -> Settings:
         namespace = topics.detections.rpartition('/')[0]
         values = read_values(options.params_file, options.node or f'{namespace}/obb_to_hbb')
     classes = [*OBB_TO_HBB.mentioned_classes(values), *OBB_TO_HBB.class_ids(values)]
-    unknown = sorted(values.keys() - OBB_TO_HBB.parameters(classes).keys())
+    known = OBB_TO_HBB.parameters(classes).keys() | _OF_EVERY_NODE
+    unknown = sorted(
+        name for name in values.keys() - known if not name.startswith('qos_overrides.')
+    )
     if unknown:
         report(f'{options.params_file}: unknown parameters, ignored: {", ".join(unknown)}')
     return OBB_TO_HBB.settings(values)

@@ -283,13 +283,17 @@ def test_of_several_inputs_one_has_to_be_named(tmp_path: Path, run: Any) -> None
 
 
 @pytest.mark.parametrize('made', ['/chip/detections', '/crop_sources'])
-def test_what_the_nodes_make_of_detections_is_no_input(
+def test_what_the_nodes_make_of_detections_is_no_input_unless_it_is_named(
     tmp_path: Path, run: Any, made: str
 ) -> None:
     given = [*scene(), Recorded(made, SECOND, detections('Detection2DArray', ROWS[0]))]
     record(tmp_path / 'in', TOPICS | {made: 'Detection2DArray'}, given)
     assert run()[0] == 0
     assert answers(tmp_path / 'out') == expected(given)
+    shutil.rmtree(tmp_path / 'out')
+    code, out, _ = run('--topic', made)
+    assert code == 0
+    assert out.startswith(f'{made} (')
 
 
 def test_a_bag_without_detections_is_an_error_that_lists_what_it_has(
@@ -354,6 +358,8 @@ def test_parameters_are_those_of_the_node_in_the_namespace(tmp_path: Path, run: 
     ('text', 'complaint'),
     [
         ('obb_to_hbb: {ros__parameters: {q: 0.5}}', 'q must be 1 to'),
+        ('obb_to_hbb: {ros__parameters: {class_ids: [a, 5]}}', 'class_ids must be a string[]'),
+        ('obb_to_hbb: {ros__parameters: 5}', 'must be names and values, not 5'),
         ('obb_to_hbb: {ros__parameters: {q: three}}', 'q must be a double'),
         ('other: {ros__parameters: {q: 2.0}}', 'no parameters for /obb_to_hbb'),
         ('{', 'params.yaml'),
@@ -368,6 +374,22 @@ def test_parameters_that_cannot_be_used_end_it_before_anything_is_written(
     assert code == 1
     assert complaint in err
     assert sorted(path.name for path in tmp_path.iterdir()) == ['in', 'params.yaml']
+
+
+def test_parameters_of_ros_itself_are_not_unknown(bag: Path, tmp_path: Path, run: Any) -> None:
+    params = tmp_path / 'params.yaml'
+    params.write_text("""
+        payload:
+          obb_to_hbb:
+            ros__parameters:
+              use_sim_time: true
+              qos_overrides./boxes.publisher.depth: 5
+              qos_overrides: {/parameter_events: {publisher: {depth: 5}}}
+              q: 2e0
+    """)
+    code, _, err = run('--params-file', params, '--node', 'payload/obb_to_hbb')
+    assert (code, err) == (0, '')
+    assert answers(tmp_path / 'out') == expected(messages_of(bag), q=2.0)
 
 
 # What is reported -------------------------------------------------------------------------------

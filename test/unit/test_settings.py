@@ -73,12 +73,53 @@ def test_a_section_applies_to_the_nodes_that_its_name_fits(written, section, app
 
 
 @pytest.mark.parametrize(
+    ('text', 'applies'),
+    [
+        ('a: {b: {obb_to_hbb: {ros__parameters: {q: 5.0}}}}', True),
+        ('/a/: {b/obb_to_hbb: {ros__parameters: {q: 5.0}}}', True),
+        ('/: {a: {/b/obb_to_hbb: {ros__parameters: {q: 5.0}}}}', True),
+        ('a: {"*": {obb_to_hbb: {ros__parameters: {q: 5.0}}}}', True),
+        ('a: {"**": {ros__parameters: {q: 5.0}}}', True),
+        ('/**: {obb_to_hbb: {ros__parameters: {q: 5.0}}}', True),
+        ('a: {ros__parameters: {q: 9.0}, b: {obb_to_hbb: {ros__parameters: {q: 5.0}}}}', True),
+        ('a: {obb_to_hbb: {ros__parameters: {q: 5.0}}}', False),
+        ('a: {b: {ros__parameters: {obb_to_hbb: {ros__parameters: {q: 5.0}}}}}', False),
+    ],
+)
+def test_sections_may_be_nested_by_namespace(written, text, applies) -> None:
+    path = written(f'/*/b/*: {{ros__parameters: {{s: 1.5}}}}\n{text}')
+    expected = {'s': 1.5, 'q': 5.0} if applies else {'s': 1.5}
+    assert read_values(path, '/a/b/obb_to_hbb') == expected
+
+
+def test_the_node_may_be_named_without_the_first_slash(written) -> None:
+    assert read_values(written(NESTED), 'payload/obb_to_hbb')['q'] == 4.0
+
+
+@pytest.mark.parametrize(
+    ('text', 'value'),
+    [
+        ('1e1', 10.0), ('1e-1', 0.1), ('-1E+2', -100.0), ('1.5e3', 1500.0), ('.5e1', 5.0),
+        ('[1e1, 2.0]', [10.0, 2.0]), ('"1e1"', '1e1'), ('1e', '1e'), ('e1', 'e1'), ('1e1s', '1e1s'),
+        ('2.5', 2.5), ('10', 10),
+    ],
+)
+def test_numbers_are_those_of_ros(written, text, value) -> None:
+    found = read_values(written(f'/**: {{ros__parameters: {{q: {text}}}}}'), '/any')['q']
+    assert (found, type(found)) == (value, type(value))
+
+
+@pytest.mark.parametrize(
     ('text', 'reason'),
     [
         ('q: 2.0', 'no parameters for /obb_to_hbb'),
         ('', 'no parameters for /obb_to_hbb'),
         ('[1, 2', 'params.yaml'),
         ('/**:\n  q: 2.0', r'no ros__parameters in /\*\*'),
+        ('/**: 5', r'no ros__parameters in /\*\*'),
+        ('/**:\n  ros__parameters:', 'no parameters for /obb_to_hbb'),
+        ('/**:\n  ros__parameters: 5', r'ros__parameters in /\*\* must be names and values, not 5'),
+        ('/**:\n  ros__parameters: [q]', 'must be names and values'),
     ],
 )
 def test_what_is_no_parameter_file_is_an_error_that_names_it(written, text, reason) -> None:
@@ -99,6 +140,7 @@ def test_what_is_no_parameter_file_is_an_error_that_names_it(written, text, reas
         ({'f': 0.0}, r'^f must be in \(0, 2\]'),
         ({'crop.max_size': 8, 'crop.min_size': 9}, '^crop.max_size'),
         ({'class_ids': ['a'], 'classes.a.q': 0.5}, '^classes.a.q must be in'),
+        ({'class_ids': ['a', 5]}, r"^class_ids must be a string\[\], not \['a', 5\]"),
         ({'class_ids': [str(i) for i in range(257)]}, 'the maximum is 256'),
     ],
 )
