@@ -329,6 +329,23 @@ class Node(Closing):
 
         self.wait(holds, what)
 
+    def heard_publisher(self, kind: Any, topic: str) -> Any:
+        """
+        Create a publisher, and wait until the node hears it.
+
+        Without that, what is sent first may be lost where the node's end is best effort.
+        """
+        publisher = self.peer.publisher(kind, topic)
+        before = self.counts()
+        self.send_until(
+            lambda: publisher.publish(b'no message'),
+            lambda: self.counts().since(before).get('messages_unreadable'),
+            f'{topic} to be heard',
+        )
+        # What is still on its way is counted by now.
+        self.counts()
+        return publisher
+
     # Services
 
     @cached_property

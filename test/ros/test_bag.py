@@ -61,18 +61,13 @@ class Conversation:
         self.sent: list[Recorded] = []
         self.boxes = node.peer.collect(Detection2DArray, 'boxes', RELIABLE, raw=True)
         self.regions = node.peer.collect(Detection2DArray, 'crop_regions', RELIABLE, raw=True)
-        self._camera = node.peer.publisher(CameraInfo, 'camera_info')
 
     def connect(self) -> None:
         """Wait until all four topics are connected and nothing is on its way any more."""
         first, last = (detections(self.kind, MESSAGES[0], stamp) for stamp in (1, 2))
         node = self.node
         node.connect()
-        node.send_until(
-            lambda: self._camera.publish(b'no camera info'),
-            lambda: node.reports() and node.counts().get('messages_unreadable'),
-            'the camera info',
-        )
+        self._camera = node.heard_publisher(CameraInfo, 'camera_info')
         node.set({'image_width': 10, 'image_height': 10})
         node.send_until(lambda: node.publisher.publish(first), lambda: self.regions, 'regions')
         node.publisher.publish(last)

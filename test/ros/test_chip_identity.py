@@ -169,9 +169,9 @@ def camera(width: int, height: int) -> CameraInfo:
 
 def seen_by(node: ChipNode, info: CameraInfo) -> CameraInfo:
     """Publish a camera info and give that of the chip (20, 30, 60, 50)."""
-    publisher = node.peer.publisher(CameraInfo, 'camera_info')
-    # Best effort: the node's end may know of us a little later.
-    node.peer.repeat(1.0, (0.1, lambda: publisher.publish(info)))
+    node.heard_publisher(CameraInfo, 'camera_info').publish(info)
+    # The camera is known when it has come before the image.
+    node.counts()
     node.forget()
     node.send(WHITE, 'mono8', [(20, 30, 60, 50)])
     node.wait(lambda: node.infos and node.chips, 'a chip')
@@ -269,13 +269,12 @@ def test_the_source_of_a_region_is_its_most_valuable_detection(site: Site) -> No
 def test_a_camera_with_a_region_that_no_message_can_hold_is_refused(node: ChipNode) -> None:
     info = camera(SIDE, SIDE)
     info.roi = RegionOfInterest(x_offset=2**32 - 1, width=SIDE, height=SIDE)
-    before = node.counts()
     publisher = node.peer.publisher(CameraInfo, 'camera_info')
     node.send_until(
         lambda: publisher.publish(info),
-        lambda: node.counts().since(before).get('messages_unreadable'), 'it is counted',
+        lambda: 'a region of interest up to' in node.next_report().message, 'the warning',
     )
-    assert 'a region of interest up to' in node.process.log
+    assert node.counts()['messages_unreadable']
 
 
 def test_a_camera_that_cannot_be_read_costs_no_chip(node: ChipNode) -> None:

@@ -127,10 +127,24 @@ def test_what_is_stored_is_released_with_everything_that_is_known_of_it(
         Converter(site, parameters=size, namespace=chips.namespace) as converter,
         Node(site, 'downlink', chips.namespace) as downlink,
     ):
-        images = chips.peer.publisher(Image, 'image')
-        cameras = chips.peer.publisher(CameraInfo, 'camera_info')
+        images = chips.heard_publisher(Image, 'image')
+        cameras = chips.heard_publisher(CameraInfo, 'camera_info')
         regions = chips.peer.collect(Detection2DArray, 'crop_regions')
         converter.connect()
+
+        def send(message: Detection2DArray) -> int:
+            number = converter.send(message)
+            images.publish(image_message('mono8', NOISE, message.header))
+            return number
+
+        def is_connected() -> bool:
+            counts = chips.counts()
+            return counts['chips_stored'] > counts['plans_without_sources']
+
+        chips.send_until(
+            lambda: send(detections([(100, 100, 8, 8, 0)])), is_connected,
+            'a chip that was planned by the other node',
+        )
         ships = [(60, 50, 50, 16, 0.4), (150, 160, 70, 20, -1.2), (200, 40, 20, 60, 0.1)]
         message = detections(ships)
         for i, detection in enumerate(message.detections):
@@ -138,20 +152,23 @@ def test_what_is_stored_is_released_with_everything_that_is_known_of_it(
             detection.results[0].hypothesis.class_id = ('tug', 'ferry', 'barge')[i]
             detection.results[0].hypothesis.score = (0.7, 0.9, 0.6)[i]
         camera = CameraInfo(width=256, height=256, k=np.arange(1.0, 10.0))
-        chips.peer.repeat(1.0, (0.1, lambda: cameras.publish(camera)))
-        number = converter.send(message)
-        images.publish(image_message('mono8', NOISE, message.header))
-        chips.wait(lambda: chips.counts()['chips_stored'] == 3, 'three chips in the spool')
+        cameras.publish(camera)
+        before = chips.counts()
+        number = send(message)
+        chips.wait(
+            lambda: chips.counts().since(before).get('chips_stored') == 3, 'three chips stored'
+        )
         downlink.start(parameters={'spool.path': spool, 'outbox.path': outbox})
-        files = []
+        found = []
 
         def have_come() -> bool:
-            files[:] = sorted(outbox.glob('*/*.json'))
-            return len(files) == 3
+            files = [json.loads(path.read_text()) for path in outbox.glob('*/*.json')]
+            found[:] = [facts for facts in files if facts['stamp']['sec'] == number]
+            return len(found) == 3
 
         downlink.wait(have_come, 'three files')
         plan = converter.answer_to(number, regions)
-    found = sorted((json.loads(path.read_text()) for path in files), key=lambda f: -f['value'])
+    found.sort(key=lambda facts: -facts['value'])
     for facts, detection in zip(found, plan.detections, strict=True):
         i = int(detection.id.split()[1])
         box = detection.bbox

@@ -296,8 +296,8 @@ def damaged(data: bytes, chance: random.Random) -> bytes:
 
 
 def test_garbage_on_camera_info_does_no_harm(node: Converter) -> None:
+    publisher = node.heard_publisher(CameraInfo, 'camera_info')
     before = node.counts()
-    publisher = node.peer.publisher(CameraInfo, 'camera_info')
     for data in UNREADABLE.values():
         publisher.publish(data)
     # Some can be read as another message's beginning.
