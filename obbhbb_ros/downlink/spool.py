@@ -18,6 +18,7 @@ import hashlib
 import itertools
 import json
 import math
+import re
 import sqlite3
 import sys
 from collections import Counter
@@ -548,8 +549,11 @@ class Spool:
             'UPDATE totals SET chips = chips + ?, bytes = bytes + ? WHERE state = ?',
             (len(chips), sum(len(chip.data) for chip in chips), WAITING),
         )
-        if max_bytes:
-            _evict(rows, max_bytes)
+        if max_bytes and not _evict(rows, max_bytes):
+            self._on_trouble(
+                f'{self._folder} is larger than spool.max_bytes, {max_bytes:.0f}, and no chip is '
+                'left to evict; chips are evicted as they come'
+            )
 
     def _row(self, seq: int, chip: NewChip) -> tuple[Any, ...]:
         """Lay out a chip for the catalogue."""
@@ -600,10 +604,14 @@ def describe_intact(chip: StoredChip, data: bytes) -> dict[str, Any] | None:
     with suppress(ValueError, KeyError, TypeError):
         description = chip.describe()
         whole = description['sha256'] == hashlib.sha256(data).hexdigest()
-        return description if whole and description['codec'] in CODECS else None
+        # The names of its files.
+        named = _ID.fullmatch(chip.id) and description['codec'] in CODECS
+        return description if whole and named else None
     return None
 
 
+# As `Spool.store` makes them.
+_ID = re.compile(r'-?[0-9]+_[0-9]{9,10}_[0-9a-f]{6}_[0-9]+')
 # Maximum bytes of id and value in a JSON file.
 _JSON_ROOM = 128
 # Bytes that a chip costs on the link: its file and its JSON.
@@ -638,17 +646,22 @@ def _deliver(rows: sqlite3.Cursor, ids: Sequence[str]) -> None:
             _book(rows, 'delivered_bytes', row[0])
 
 
-def _evict(rows: sqlite3.Cursor, max_bytes: float) -> None:
-    """Delete the least valuable chips, the oldest of equals first, to make room for the rest."""
-    evicted, most = 0, max_bytes / _pragma(rows, 'page_size')
+def _evict(rows: sqlite3.Cursor, max_bytes: float) -> bool:
+    """
+    Delete the least valuable chips, the oldest of equals first, to make room for the rest.
+
+    Returns False if all have gone that may go, and there is still no room.
+    """
+    evicted, most, left = 0, max_bytes / _pragma(rows, 'page_size'), True
     while _pragma(rows, 'page_count') - _pragma(rows, 'freelist_count') > most:
         # Two questions that the one index answers.
         rows.execute(
             'DELETE FROM chips WHERE seq = (SELECT seq FROM chips WHERE state = ?1 AND value = '
             '(SELECT min(value) FROM chips WHERE state = ?1) ORDER BY seq LIMIT 1)', (WAITING,),
         )
+        left = bool(rows.rowcount)
         evicted += rows.rowcount
-        if not rows.rowcount or evicted == _MOST_EVICTED:
+        if not left or evicted == _MOST_EVICTED:
             break
     _book(rows, 'evicted.max_bytes', evicted)
     # Free pages are used again; only those far beyond a limit that was lowered go to the disk.
@@ -656,6 +669,7 @@ def _evict(rows: sqlite3.Cursor, max_bytes: float) -> None:
     for _ in range(min(excess, _pragma(rows, 'freelist_count'), _PAGES_GIVEN_BACK)):
         # One after the other: Python takes one step of a statement without rows.
         rows.execute('PRAGMA incremental_vacuum(1)')
+    return left
 
 
 def _pragma(rows: sqlite3.Cursor, name: str) -> int:

@@ -348,6 +348,14 @@ def test_nothing_is_evicted_without_a_limit(spool) -> None:
     assert counts(spool).waiting == 30
 
 
+def test_a_limit_in_which_no_chip_has_room_is_said(spool, troubles) -> None:
+    store(spool, [0.5] * 10, 20_000, 0.1 * MB)
+    assert troubles == []
+    store(spool, [0.5], 20_000, 20_000)
+    assert counts(spool).waiting == 0
+    assert 'spool.max_bytes, 20000, and no chip is left to evict' in troubles[0]
+
+
 # Several processes
 
 
@@ -664,6 +672,27 @@ def test_the_intact_chips_of_a_damaged_catalogue_can_be_read(tmp_path) -> None:
     ends = sorted(int(each.rpartition('_')[2]) for each in found)
     assert ends[0] < 5
     assert ends[-1] > 25
+
+
+@pytest.mark.parametrize(
+    'name',
+    ['../../etc/5_000000000_abcdef_1', '/5_000000000_abcdef_1', '', '5_000000000_abcdef_1\n'],
+)
+def test_a_chip_whose_id_can_be_no_file_name_of_ours_is_damaged(spool, tmp_path, name) -> None:
+    store(spool, [0.5, 0.6])
+    with database(tmp_path) as rows:
+        rows.execute('UPDATE chips SET id = ? WHERE seq = 1', (name,))
+    spool.close()
+    (path,) = files(tmp_path)
+    assert [chip.seq for chip, _ in intact_chips(path)] == [2]
+
+
+@pytest.mark.parametrize('stamp', [(-(2**31), 0), (2**31 - 1, 2**32 - 1)])
+def test_a_chip_of_any_stamp_is_intact(spool, tmp_path, stamp) -> None:
+    spool.store(spool.plan(1), [new_chip(stamp=stamp)], {})
+    spool.close()
+    (path,) = files(tmp_path)
+    assert len(list(intact_chips(path))) == 1
 
 
 def test_the_intact_chips_between_damaged_places_can_be_read(spool, tmp_path) -> None:
