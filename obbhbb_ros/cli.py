@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -31,6 +32,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if getattr(sys, name) is None:
             # Closed by the caller: output is discarded.
             setattr(sys, name, open(os.devnull, 'w', encoding='utf-8'))  # noqa: SIM115
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper):
+            # A terminal may lack letters of a class or a path.
+            stream.reconfigure(errors='backslashreplace')
     given = list(sys.argv[1:] if arguments is None else arguments)
     if threading.current_thread() is threading.main_thread():
         # By default the process would leave unfinished files behind.

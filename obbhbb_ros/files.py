@@ -33,10 +33,11 @@ def replacing(path: Path) -> Iterator[Path]:
     ...     (Path(folder) / 'a' / 'labels.txt').read_text()
     'ship'
     """
-    path = Path(os.path.realpath(path))
     if path.exists() and not path.is_file():
         yield path
         return
+    # Not before: that of a pipe behind /dev/stdout is no path.
+    path = Path(os.path.realpath(path))
     _prepare(path)
     partial = path.with_name(f'.{secrets.token_hex(4)}{path.suffix}')
     try:

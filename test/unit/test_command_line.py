@@ -203,6 +203,14 @@ def test_a_reader_that_has_seen_enough_is_no_error(ships: Path) -> None:
     assert process.returncode == 128 + signal.SIGPIPE
 
 
+def test_a_file_may_be_the_standard_output(ships: Path) -> None:
+    done = subprocess.run(
+        [*OBBHBB, 'convert', ships, '/dev/stdout', '--to', 'csv'],
+        check=True, stdout=subprocess.PIPE, text=True, timeout=60,
+    )
+    assert len(done.stdout.splitlines()) > 400
+
+
 # Input from hell ------------------------------------------------------------------------------
 
 def test_a_pipe_is_refused_instead_of_waited_for(

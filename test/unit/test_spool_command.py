@@ -199,6 +199,19 @@ def test_what_is_wrong_is_told(folder, capsys, damage, words) -> None:
     assert words in line
 
 
+def test_letters_that_the_terminal_lacks_are_written_as_numbers(tmp_path) -> None:
+    spool = Spool(tmp_path, print, 'writer')
+    spool.store(spool.plan(1), [new_chip(class_id='b\xe5t')], {})
+    spool.close()
+    done = subprocess.run(
+        [sys.executable, '-m', 'obbhbb_ros.cli', 'spool', tmp_path],
+        check=False, capture_output=True, text=True, timeout=60,
+        env=os.environ | {'PYTHONIOENCODING': 'ascii'},
+    )
+    assert (done.returncode, done.stderr) == (0, '')
+    assert 'b\\xe5t' in done.stdout
+
+
 def test_exported_chips_stay_in_the_spool(folder, tmp_path, capsys) -> None:
     out = tmp_path / 'out'
     assert run(folder, 'export', '--class', 'tug', '-o', out) == 0
