@@ -266,7 +266,14 @@ def _document(path: Path) -> Any:
     import yaml
 
     class Loader(yaml.SafeLoader):  # type: ignore[misc]
-        """Takes 1e1 for a number as well."""
+        """Takes 1e1 for a number as well, and no aliases, as ROS."""
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            """Compose what comes next, or refuse it."""
+            if self.check_event(yaml.AliasEvent):
+                mark = self.peek_event().start_mark
+                raise yaml.composer.ComposerError(None, None, 'ROS takes no aliases', mark)
+            return super().compose_node(parent, index)
 
     Loader.add_implicit_resolver(
         'tag:yaml.org,2002:float', re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$'),
@@ -274,7 +281,7 @@ def _document(path: Path) -> Any:
     )
     try:
         return yaml.load(path.read_text(encoding='utf-8'), Loader)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f'{path}: {error}') from None
 
 

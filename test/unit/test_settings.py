@@ -92,6 +92,19 @@ def test_sections_may_be_nested_by_namespace(written, text, applies) -> None:
     assert read_values(path, '/a/b/obb_to_hbb') == expected
 
 
+@pytest.mark.parametrize(
+    ('text', 'reason'),
+    [
+        ('/**: &all {ros__parameters: {q: 5.0}, again: *all}', 'ROS takes no aliases'),
+        ('/**: {ros__parameters: ' + '{a: ' * 2000 + '}' * 2001, 'recursion'),
+    ],
+    ids=['alias', 'deep'],
+)
+def test_what_ros_does_not_take_either_is_refused(written, text, reason) -> None:
+    with pytest.raises(ValueError, match=f'params.*{reason}'):
+        read_values(written(text), '/obb_to_hbb')
+
+
 def test_the_node_may_be_named_without_the_first_slash(written) -> None:
     assert read_values(written(NESTED), 'payload/obb_to_hbb')['q'] == 4.0
 
