@@ -138,6 +138,8 @@ def message_without_gaps() -> Detection2DArray:
 def test_the_same_bytes_give_the_same_bytes(node: Converter) -> None:
     answers = node.peer.collect(Detection2DArray, 'boxes', raw=True)
     node.connect()
+    # The node may know of the second subscriber a little later.
+    node.send_until(lambda: node.send(detections([])), lambda: answers, 'bytes')
     recording = []
     for _ in range(5):
         message = message_without_gaps()
