@@ -10,10 +10,17 @@ from obbhbb_ros.launching import argument
 from obbhbb_ros.launching import common_arguments
 from obbhbb_ros.launching import node
 from obbhbb_ros.launching import nodes
+from obbhbb_ros.launching import parameters_in
 from obbhbb_ros.launching import params_file
 from obbhbb_ros.launching import state_file
 
 HOME = os.environ.get('ROS_HOME') or os.path.expanduser('~/.ros')
+FOLDERS = {'spool': f'{HOME}/obbhbb/spool', 'outbox': f'{HOME}/obbhbb/outbox'}
+# Arguments that set a parameter, by node.
+PATHS = {
+    'chip_extractor': {'spool': 'spool.path'},
+    'downlink': {'spool': 'spool.path', 'outbox': 'outbox.path'},
+}
 CHAIN = ('obb_to_hbb', 'chip_extractor', 'downlink')
 NODES = (*CHAIN, 'overlay')
 TOPICS = (
@@ -28,12 +35,14 @@ def generate_launch_description() -> LaunchDescription:
         *(params_file(f'{name}_params_file', name) for name in NODES),
         argument('nodes', ' '.join(CHAIN), f'which nodes to start, of {", ".join(NODES)}'),
         argument(
-            'spool', f'{HOME}/obbhbb/spool',
-            'folder in which chips wait for contact (empty: as the parameter files say)',
+            'spool', FOLDERS['spool'],
+            'folder in which chips wait for contact; by default that of the parameter files, if '
+            'they name one (empty: as they say)',
         ),
         argument(
-            'outbox', f'{HOME}/obbhbb/outbox',
-            'folder from which the bus takes chips (empty: as the parameter file says)',
+            'outbox', FOLDERS['outbox'],
+            'folder from which the bus takes chips; by default that of the parameter file, if it '
+            'names one (empty: as it says)',
         ),
         *(argument(topic, topic, f'topic to use for `{topic}`') for topic in TOPICS),
         *common_arguments(),
@@ -46,19 +55,21 @@ def _nodes(value: Callable[[str], str]) -> list[Any]:
     chosen = value('nodes').replace(',', ' ').split()
     if unknown := sorted({*chosen} - {*NODES}):
         raise ValueError(f'nodes: {", ".join(unknown)} is none of {", ".join(NODES)}')
-    folders = {
-        'chip_extractor': {'spool.path': value('spool')},
-        'downlink': {'spool.path': value('spool'), 'outbox.path': value('outbox')},
-    }
     return [
         node(
             value, name, name,
-            [
-                value(f'{name}_params_file'),
-                *({key: folder} for key, folder in folders.get(name, {}).items() if folder),
-                *state_file(value, name),
-            ],
+            [value(f'{name}_params_file'), *_paths(value, name), *state_file(value, name)],
             TOPICS,
         )
         for name in chosen
+    ]
+
+
+def _paths(value: Callable[[str], str], name: str) -> list[dict[str, str]]:
+    """Give the folders of a node; a default gives way to what its parameter file says."""
+    in_file = parameters_in(value(f'{name}_params_file'), value('namespace'), name)
+    return [
+        {parameter: value(folder)}
+        for folder, parameter in PATHS.get(name, {}).items()
+        if value(folder) and not (value(folder) == FOLDERS[folder] and in_file.get(parameter))
     ]

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import get_package_share_directory
@@ -13,6 +15,8 @@ from launch.actions import SetEnvironmentVariable
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+
+from obbhbb_ros.parameter_file import read_values
 
 PACKAGE = 'obbhbb_ros'
 
@@ -26,6 +30,14 @@ def params_file(name: str, node: str) -> Any:
     """Declare the argument for the parameter file of a node."""
     share = get_package_share_directory(PACKAGE)
     return argument(name, f'{share}/config/{node}.yaml', f'YAML file with parameters of {node}')
+
+
+def parameters_in(file: str, namespace: str, node: str) -> Mapping[str, Any]:
+    """Read the parameters of a node; none if that is not possible, as the node will say itself."""
+    try:
+        return read_values(Path(file), f'{namespace.strip("/")}/{node}')
+    except (OSError, ValueError):
+        return {}
 
 
 def common_arguments() -> list[Any]:

@@ -46,13 +46,13 @@ from obbhbb_ros.bags.topics import add_output
 from obbhbb_ros.bags.topics import add_topics
 from obbhbb_ros.bags.topics import choose
 from obbhbb_ros.files import making
+from obbhbb_ros.parameter_file import Values
+from obbhbb_ros.parameter_file import read_values
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.pipeline import Outputs
 from obbhbb_ros.pipeline import answer
 from obbhbb_ros.settings import OBB_TO_HBB
 from obbhbb_ros.settings import Settings
-from obbhbb_ros.settings import Values
-from obbhbb_ros.settings import read_values
 from obbhbb_ros.wire.cdr import WireError
 from obbhbb_ros.wire.image import read_image_size
 from obbhbb_ros.wire.layouts import INPUT_TYPES

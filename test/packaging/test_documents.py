@@ -12,11 +12,11 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.nodes.documentation import NODE_TABLES
 from obbhbb_ros.nodes.documentation import PAPER
 from obbhbb_ros.nodes.documentation import documents
+from obbhbb_ros.parameter_file import read_values
 from obbhbb_ros.settings import CHIP_EXTRACTOR
 from obbhbb_ros.settings import DOWNLINK
 from obbhbb_ros.settings import OBB_TO_HBB
 from obbhbb_ros.settings import OVERLAY
-from obbhbb_ros.settings import read_values
 from obbhbb_ros.study.harbour import harbour
 
 ROOT = Path(__file__).parents[2]

@@ -109,6 +109,27 @@ def test_nodes_are_launched_by_choice() -> None:
     assert 'spool.path' not in {**ran.started[0].parameters, **ran.started[1].parameters}
 
 
+@pytest.mark.parametrize(
+    ('section', 'given', 'expected'),
+    [
+        ('/payload/downlink', {}, {'outbox.path'}),
+        ('/**', {}, {'outbox.path'}),
+        ('/elsewhere/downlink', {}, {'spool.path', 'outbox.path'}),
+        ('/payload/downlink', {'spool': '/data/spool'}, {'spool.path', 'outbox.path'}),
+        ('/payload/downlink', {'outbox': ''}, set()),
+    ],
+)
+def test_a_folder_of_the_parameter_file_counts_unless_another_is_given(
+    tmp_path: Path, section: str, given: dict[str, str], expected: set[str]
+) -> None:
+    file = tmp_path / 'mine.yaml'
+    file.write_text(f'{section}: {{ros__parameters: {{spool.path: /mine, outbox.path: ""}}}}\n')
+    arguments = {'nodes': 'downlink', 'namespace': 'payload', 'downlink_params_file': str(file)}
+    (node,) = launched(DOWNLINK, arguments | given).started
+    assert set(node.parameters) == expected
+    assert node.parameters.get('spool.path') != '/mine'
+
+
 @pytest.mark.parametrize('file', [CONVERTER, DOWNLINK], ids=lambda file: file.name)
 def test_what_a_launch_file_takes_by_default_exists(file: Path) -> None:
     defaults = launched(file).declared.values()

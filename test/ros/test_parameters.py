@@ -34,10 +34,10 @@ from vision_msgs.msg import Detection2DArray
 from obbhbb_ros.converter import Caps
 from obbhbb_ros.converter import HullRule
 from obbhbb_ros.nodes.documentation import NODE_TABLES
+from obbhbb_ros.parameter_file import read_values
 from obbhbb_ros.settings import MOST_CLASSES
 from obbhbb_ros.settings import OBB_TO_HBB
 from obbhbb_ros.settings import OVERLAY
-from obbhbb_ros.settings import read_values
 
 # What it tests depends on rclpy, which is the same in all environments.
 pytestmark = pytest.mark.once

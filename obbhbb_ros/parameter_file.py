@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameter files as ROS reads them, without ROS."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from typing import TypeAlias
+
+Value: TypeAlias = bool | int | float | str | list[str] | list[float]
+Values: TypeAlias = dict[str, Value]
+
+
+def read_values(path: Path, node: str) -> Values:
+    """
+    Read a ROS parameter file.
+
+    Parameters
+    ----------
+    path : Path
+        A YAML file as `--params-file` takes it.
+    node : str
+        Full name of the node, such as '/obb_to_hbb'; the first slash may be missing.
+
+    Returns
+    -------
+    dict of str to value
+        Values by parameter name, of all sections whose name fits; `*` stands for one part of a
+        name, `**` for any number of them. A section may be within those of its namespaces. A later
+        section wins.
+
+    Raises
+    ------
+    ValueError
+        If the file is not such a file; the message names it.
+    OSError
+        If it cannot be read.
+
+    Examples
+    --------
+    >>> read_values(Path('config/obb_to_hbb.yaml'), '/obb_to_hbb')['q']  # doctest: +SKIP
+    3.0
+    """
+    node = '/' + node.lstrip('/')
+    values: Values = {}
+    for name, section in _sections(_document(path)):
+        pattern = re.escape(name).replace(r'/\*\*', '(/[^/]+)*').replace(r'\*', '[^/]+')
+        if re.fullmatch(pattern, node):
+            values.update(_flattened(_parameters(path, name, section)))
+    if not values:
+        raise ValueError(f'{path}: no parameters for {node}')
+    return values
+
+
+def _document(path: Path) -> Any:
+    """Read a YAML file; numbers are those of ROS."""
+    # Comes with ROS, and is needed without it only here.
+    import yaml
+
+    class Loader(yaml.SafeLoader):  # type: ignore[misc]
+        """Takes 1e1 for a number as well, and no aliases, as ROS."""
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            """Compose what comes next, or refuse it."""
+            if self.check_event(yaml.AliasEvent):
+                mark = self.peek_event().start_mark
+                raise yaml.composer.ComposerError(None, None, 'ROS takes no aliases', mark)
+            return super().compose_node(parent, index)
+
+    Loader.add_implicit_resolver(
+        'tag:yaml.org,2002:float', re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$'),
+        list('-+.0123456789'),
+    )
+    try:
+        return yaml.load(path.read_text(encoding='utf-8'), Loader)
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f'{path}: {error}') from None
+
+
+def _sections(content: Any, name: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield the sections of a parameter file, those within namespaces too, by full name."""
+    yield name, content
+    for key, inner in content.items() if isinstance(content, dict) else ():
+        if key != 'ros__parameters':
+            yield from _sections(inner, re.sub('/+', '/', f'{name}/{key}'))
+
+
+def _parameters(path: Path, name: str, section: Any) -> Mapping[str, Any]:
+    """Return the parameters of a section; none if it is a namespace of others, or empty."""
+    inner = section if isinstance(section, dict) else {name: section}
+    nested = all(isinstance(each, dict) for each in inner.values())
+    if not nested and 'ros__parameters' not in inner:
+        raise ValueError(f'{path}: no ros__parameters in {name}')
+    parameters = inner.get('ros__parameters')
+    if not isinstance(parameters, dict | None):
+        raise ValueError(
+            f'{path}: ros__parameters in {name} must be names and values, not {parameters!r}'
+        )
+    return parameters or {}
+
+
+def _flattened(section: Mapping[str, Any], prefix: str = '') -> Values:
+    """Write nested sections as names with dots."""
+    values: Values = {}
+    for name, value in section.items():
+        if isinstance(value, dict):
+            values.update(_flattened(value, f'{prefix}{name}.'))
+        else:
+            values[f'{prefix}{name}'] = value
+    return values
