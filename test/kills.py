@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import random
 import signal
 import threading
@@ -75,7 +76,9 @@ class Chain(ExitStack):
     def __init__(self, site: Site, folder: Path) -> None:
         super().__init__()
         self._site, self._folder = site, folder
-        self._namespace = f'/kills_{folder.name}'
+        # Not the name of the folder: two underscores in a row, which `tempfile` draws now and
+        # then, are no namespace.
+        self._namespace = f'/kills_{os.getpid()}'
         self.peer = self.enter_context(Peer(site.context, self._namespace))
         self._plan = self._make_plan()
         pixels = np.random.default_rng(3).integers(0, 256, (SIDE, SIDE)).astype(np.uint8)
