@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Converter
 from harness import NodeProcess
 from harness import Site
+from harness import time_of
 from harness import values_of
 from ships import detections
 from ships import fleet
@@ -102,8 +103,7 @@ class Crashing(Converter):
         def reports_of_this_run() -> Iterator[DiagnosticStatus]:
             # Those of the run before may still be on their way.
             for report in self.reports():
-                stamp = report.header.stamp
-                if stamp.sec + stamp.nanosec * 1e-9 > self._started:
+                if time_of(report) > self._started:
                     yield report.status[0]
 
         self.report = self.wait_for(reports_of_this_run, 'a report of this run')

@@ -68,7 +68,7 @@ SERVICES = {
 }
 
 # Far more than anything takes, for machines that are busy with something else.
-TIMEOUT = 30.0
+TIMEOUT = 60.0
 RELIABLE = QoSProfile(depth=1000)
 
 DOC = Path(__file__).parents[1] / 'doc'
@@ -428,12 +428,16 @@ class Node(Closing):
         return [array for array in self._diagnostics if array.status[0].name == name]
 
     def next_report(self) -> DiagnosticStatus:
-        """Wait for diagnostics that are made after this moment."""
-        # One may have arrived already.
-        self.peer.spin()
-        self._diagnostics.clear()
-        self.wait(self.reports, 'diagnostics')
-        return self.reports()[0].status[0]
+        """Wait for diagnostics that are made after this moment, and forget those before."""
+        # Made, not heard: some may still be on their way.
+        moment = time.time()
+
+        def made_since() -> list[DiagnosticArray]:
+            return [report for report in self.reports() if time_of(report) > moment]
+
+        self.wait(made_since, 'diagnostics')
+        self._diagnostics[:] = made_since()
+        return self._diagnostics[0].status[0]
 
     def counts(self) -> Counts:
         """Give the numbers of the next diagnostics."""
@@ -661,6 +665,11 @@ class Counts(dict[str, float]):
             for name, value in self.items()
             if name.startswith(prefix) and value != before[name]
         }
+
+
+def time_of(report: DiagnosticArray) -> float:
+    """Give when diagnostics were made, seconds since 1970."""
+    return report.header.stamp.sec + report.header.stamp.nanosec * 1e-9
 
 
 def values_of(report: DiagnosticStatus) -> dict[str, str]:

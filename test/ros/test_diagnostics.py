@@ -9,10 +9,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Converter
 from harness import Counts
+from harness import time_of
 from harness import values_of
 from lifecycle_msgs.msg import Transition
 from rclpy.qos import QoSProfile
@@ -26,10 +26,6 @@ from obbhbb_ros.settings import OBB_TO_HBB
 
 # What it tests depends on rclpy, which is the same in all environments.
 pytestmark = pytest.mark.once
-
-
-def time_of(report: DiagnosticArray) -> float:
-    return report.header.stamp.sec + report.header.stamp.nanosec * 1e-9
 
 
 def test_a_report_on_the_node_comes_once_a_second(node: Converter) -> None:
