@@ -29,7 +29,11 @@ def test_every_key_of_the_conversion_node_is_explained(start: Callable[..., Conv
     node = start()
     node.connect()
     answers: list[Any] = node.peer.collect(Detection2DArray, 'crop_regions')
-    node.convert(detections(fleet(3)))
+    # The node may know of the subscriber of crop regions a little later.
+    node.send_until(
+        lambda: node.send(detections(fleet(3))),
+        lambda: node.counts()['messages_without_image_size'], 'a message without image size',
+    )
     node.set({
         'image_width': 1000, 'image_height': 1000, 'crop.compare_outer': True,
         'crop.merge_max_size': 1000, 'crop.max_count': 1, 'class_ids': ['tug'],
@@ -51,7 +55,7 @@ def test_every_key_of_the_conversion_node_is_explained(start: Callable[..., Conv
 
 
 def test_every_key_of_the_chip_node_is_explained(site: Site) -> None:
-    parameters = {'codec': 'png', 'cache.max_age': 0.5, 'budget.max_chips': 2}
+    parameters = {'codec': 'png', 'cache.max_age': 60.0, 'budget.max_chips': 2}
     with ChipNode(site, parameters) as node:
         node.connect()
         pixels = np.zeros((8, 8), np.uint8)
@@ -59,6 +63,12 @@ def test_every_key_of_the_chip_node_is_explained(site: Site) -> None:
         node.send(pixels, 'strange', [(0, 0, 4, 4)])
         node.images.publish(b'\0\1\0\0' + bytes(5))
         node.send_plan([(0, 0, 4, 4)], node.stamp())
+        node.wait(
+            lambda: node.counts()['chips_dropped.image_refused']
+            and node.counts()['messages_unreadable'], 'the frames',
+        )
+        # Not before, as image and plan of a frame may come with a pause.
+        node.set({'cache.max_age': 0.5})
         node.wait(lambda: node.counts()['chips_dropped.crop_plan_expired'], 'a lonely plan')
         assert not node.counts()['chips_waiting']
         keys = node.counts()
