@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Converter
 from harness import Counts
@@ -33,7 +34,8 @@ def test_a_report_on_the_node_comes_once_a_second(node: Converter) -> None:
     node.next_report()
     node.wait(lambda: len(node.reports()) >= 4, 'four reports')
     times = [time_of(report) for report in node.reports()]
-    assert np.diff(times).mean() == pytest.approx(1.0, abs=0.25)
+    # One that a busy machine delays shortens the time to the next.
+    assert np.median(np.diff(times)) == pytest.approx(1.0, abs=0.25)
     assert abs(times[-1] - time.time()) < 10.0
     status = node.reports()[-1].status[0]
     assert status.name == f'{node.namespace}/obb_to_hbb'.lstrip('/')
@@ -54,12 +56,20 @@ def test_messages_and_detections_are_counted_for_good(node: Converter) -> None:
 
 def test_rates_are_those_since_the_report_before(node: Converter) -> None:
     node.next_report()
-    while len(node.reports()) < 3:
+
+    def with_messages() -> list[tuple[DiagnosticArray, DiagnosticArray]]:
+        # In some period we may have stood still.
+        return [
+            (one, other) for one, other in pairwise(node.reports())
+            if 'messages_received' in Counts(other.status[0]).since(Counts(one.status[0]))
+        ]
+
+    while len(with_messages()) < 2:
         node.convert(detections(fleet(4)))
-    for one, other in pairwise(node.reports()):
+    for one, other in with_messages():
         counts = Counts(other.status[0])
         changed = counts.since(Counts(one.status[0]))
-        assert changed['detections_received'] == 4 * changed['messages_received'] > 0
+        assert changed['detections_received'] == 4 * changed['messages_received']
         for name in ('messages_received', 'detections_received'):
             expected = changed[name] / (time_of(other) - time_of(one))
             assert counts[f'{name}_per_second'] == pytest.approx(expected, rel=0.2)
@@ -92,27 +102,40 @@ def test_parameters_in_force_are_all_there(node: Converter) -> None:
 
 
 def test_trouble_is_a_warning_in_the_next_report_and_no_longer(node: Converter) -> None:
-    node.next_report()
+    before = node.counts()
     node.convert(detections([(1.0, 2.0, -3.0, 4.0, 0.0)]))
-    report = node.next_report()
+
+    def reports_of_it() -> list[DiagnosticStatus]:
+        return [
+            each.status[0] for each in node.reports()
+            if Counts(each.status[0]).since(before, 'detections_dropped')
+        ]
+
+    node.wait(lambda: len(reports_of_it()) >= 2, 'two reports')
+    report, later, *_ = reports_of_it()
     assert report.level == DiagnosticStatus.WARN
     assert 'negative_size' in report.message
     assert f'{node.namespace}/detections' in report.message
     assert values_of(report)['state'] == 'active'
-    assert node.next_report().level == DiagnosticStatus.OK
+    assert later.level == DiagnosticStatus.OK
 
 
 def test_silence_is_an_error_and_then_stale_until_input_comes(
     start: Callable[..., Converter]
 ) -> None:
-    node = start(parameters={'input_timeout': 1.5})
+    node = start()
     node.connect()
+    # Not before, as it may take a while to be connected.
+    node.set({'input_timeout': 1.5})
     node.wait(lambda: node.next_report().level == DiagnosticStatus.ERROR, 'an error')
     assert node.next_report().message.startswith('no input for ')
     node.wait(lambda: node.next_report().level == DiagnosticStatus.STALE, 'stale')
     assert node.process.log.count('no input for') == 1
     node.convert(detections(fleet(1)))
-    assert node.next_report().level == DiagnosticStatus.OK
+    node.wait(
+        lambda: any(each.status[0].level == DiagnosticStatus.OK for each in node.reports()),
+        'the end of the silence',
+    )
     assert 'no longer without input' in node.process.log
 
 
@@ -132,8 +155,9 @@ def test_no_input_is_expected_while_inactive_or_without_a_timeout(
 def test_a_silent_node_that_is_deactivated_does_not_say_that_input_is_back(
     start: Callable[..., Converter]
 ) -> None:
-    node = start(parameters={'input_timeout': 0.5})
+    node = start()
     node.connect()
+    node.set({'input_timeout': 0.5})
     node.wait(lambda: node.next_report().level == DiagnosticStatus.ERROR, 'an error')
     assert node.change_state(Transition.TRANSITION_DEACTIVATE)
     node.wait(lambda: node.next_report().level == DiagnosticStatus.OK, 'no more of it')
