@@ -8,6 +8,7 @@ import hashlib
 import io
 import json
 import re
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -28,6 +29,7 @@ from harness import Node
 from harness import NodeProcess
 from harness import Peer
 from harness import Site
+from harness import stamp_of
 from harness import unexplained
 from harness import values_of
 from lifecycle_msgs.msg import Transition
@@ -47,6 +49,8 @@ from obbhbb_ros.nodes.play_detections import image_message
 pytestmark = pytest.mark.once
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# Files that are not complete have a hidden name.
+COMPLETE = '*/[!.]*.json'
 NOISE = np.random.default_rng(5).integers(0, 256, (256, 256)).astype(np.uint8)
 
 
@@ -61,10 +65,9 @@ class Chain(ExitStack):
         )
         self.chips.images = self.chips.peer.publisher(Image, 'image')
         self.chips.plans = self.chips.peer.publisher(Detection2DArray, 'crop_regions')
-        self.chips.send_until(
-            lambda: self.store([0.01]), lambda: self.books()['spool.waiting'], 'a first chip'
-        )
-        self.chips.counts()
+        # Once: nothing that is reliable gets lost, and tests count on a single chip.
+        self.store([0.01])
+        self.chips.wait(lambda: self.books()['spool.waiting'], 'a first chip')
 
     def downlink(self, **parameters: Any) -> Node:
         """Start the node; close it to start another."""
@@ -101,14 +104,16 @@ class Chain(ExitStack):
 
     def released(self) -> list[dict[str, Any]]:
         """Read the JSON files of the outbox, in the order of their release."""
-        files = [path for path in self.outbox.glob('*/*.json') if not path.name.startswith('.')]
-        files.sort(key=lambda path: path.stat().st_mtime_ns)
-        found = [json.loads(path.read_text()) for path in files]
-        for path, each in zip(files, found, strict=True):
+        found = []
+        for path in self.outbox.glob(COMPLETE):
+            each = json.loads(path.read_text())
             data = path.with_suffix('.png').read_bytes()
             assert hashlib.sha256(data).hexdigest() == each['sha256']
             assert len(data) == each['bytes']
-        return found
+            # On a fast disk several have the same time: the clock of files ticks every 4 ms.
+            order = path.stat().st_mtime_ns, -each['value'], each['stamp']['sec']
+            found.append((order, each))
+        return [each for _, each in sorted(found, key=lambda pair: pair[0])]
 
 
 @pytest.fixture
@@ -156,18 +161,22 @@ def test_what_is_stored_is_released_with_everything_that_is_known_of_it(
         before = chips.counts()
         number = send(message)
         chips.wait(
-            lambda: chips.counts().since(before).get('chips_stored') == 3, 'three chips stored'
+            # A frame from before may be among them.
+            lambda: chips.counts().since(before).get('chips_stored', 0) >= 3, 'three chips stored'
         )
         downlink.start(parameters={'spool.path': spool, 'outbox.path': outbox})
         found = []
 
         def have_come() -> bool:
-            files = [json.loads(path.read_text()) for path in outbox.glob('*/*.json')]
+            files = [json.loads(path.read_text()) for path in outbox.glob(COMPLETE)]
             found[:] = [facts for facts in files if facts['stamp']['sec'] == number]
             return len(found) == 3
 
         downlink.wait(have_come, 'three files')
-        plan = converter.answer_to(number, regions)
+        # It is the other node's peer that listens.
+        plan = chips.wait_for(
+            lambda: (each for each in regions if stamp_of(each) == number), 'its plan'
+        )
     found.sort(key=lambda facts: -facts['value'])
     for facts, detection in zip(found, plan.detections, strict=True):
         i = int(detection.id.split()[1])
@@ -202,8 +211,10 @@ def test_release_waits_for_contact_and_goes_by_value_then_age(chain: Chain) -> N
         chain.store(scores)
     chain.chips.wait(lambda: chain.books()['spool.waiting'] >= 5, 'chips in the spool')
     node = chain.downlink(contact='topic', outbox__levels=[0.8, 0.4])
-    report = values_of(node.next_report())
-    assert (report['contact'], report['stalled_by']) == ('false', 'no contact')
+    node.wait(
+        lambda: values_of(node.next_report())['stalled_by'] == 'no contact', 'that it is stalled'
+    )
+    assert values_of(node.next_report())['contact'] == 'false'
     assert not chain.outbox.exists() or not chain.released()
     with Peer(chain.site.context, chain.chips.namespace) as ground:
         contact = ground.publisher(Bool, 'contact', LATCHED)
@@ -220,7 +231,7 @@ def test_release_waits_for_contact_and_goes_by_value_then_age(chain: Chain) -> N
     assert [value for value, _ in wanted] == [0.9, 0.9, 0.5, 0.2]
     assert wanted[0][1] < wanted[1][1]
     assert released == sorted(released, key=lambda r: (-r[0], r[1]))
-    folders = {path.parent.name for path in chain.outbox.glob('*/*.json')}
+    folders = {path.parent.name for path in chain.outbox.glob(COMPLETE)}
     assert folders == {'0', '1', '2'}
 
 
@@ -251,24 +262,20 @@ def test_the_budget_holds_in_every_second_and_a_change_counts_at_once(chain: Cha
     chain.chips.wait(lambda: chain.books()['spool.waiting'] >= 160, 'chips in the spool')
     rate = 10_000.0
     node = chain.downlink(budget__bytes_per_second=rate, budget__overhead=50)
-    times: dict[str, float] = {}
-    started = time.monotonic()
-    while time.monotonic() < started + 3.0:
-        node.peer.spin(0.02)
-        now = time.monotonic()
-        for path in chain.outbox.glob('0/*.json'):
-            times.setdefault(path.stem, now)
-    cost = {
-        stem: sum(path.stat().st_size for path in chain.outbox.glob(f'0/{stem}.*')) + 50
-        for stem in times
-    }
-    moments = sorted((moment, cost[stem]) for stem, moment in times.items())
+    node.wait(lambda: any(chain.outbox.glob(COMPLETE)), 'a first release')
+    node.peer.spin_to(time.monotonic() + 3.0)
+    moments = sorted(
+        (path.stat().st_mtime, path.stat().st_size + path.with_suffix('.png').stat().st_size + 50)
+        for path in chain.outbox.glob(COMPLETE)
+    )
     for i, (first, _) in enumerate(moments):
-        in_window = [size for moment, size in moments[i:] if moment < first + 1.0]
-        # Seen a little later than released.
+        in_window = [cost for moment, cost in moments[i:] if moment < first + 1.0]
+        # Written a little later than taken from the budget.
         assert sum(in_window) <= rate + rate + 0.2 * rate
-    assert sum(cost.values()) > rate
-    assert values_of(node.next_report())['stalled_by'] == 'link budget'
+    assert sum(cost for _, cost in moments) > rate
+    node.wait(
+        lambda: values_of(node.next_report())['stalled_by'] == 'link budget', 'that it is stalled'
+    )
     node.set({'budget.bytes_per_second': 0.0})
     node.wait(lambda: node.counts()['spool.waiting'] == 0, 'the rest at once')
 
@@ -286,7 +293,7 @@ def test_removal_acknowledges_and_a_full_outbox_keeps_chips_in_the_spool(chain: 
     taken = []
 
     def take_and_look() -> bool:
-        for path in chain.outbox.glob('*/*.json'):
+        for path in chain.outbox.glob(COMPLETE):
             taken.append(json.loads(path.read_text())['id'])
             path.with_suffix('.png').unlink()
             path.unlink()
@@ -308,8 +315,8 @@ def test_an_outbox_that_was_replaced_delivers_nothing(chain: Chain) -> None:
     counts = node.counts()
     assert (counts['spool.in_outbox'], counts['spool.delivered']) == (1, 0)
     assert not chain.released()
-    (chain.outbox / '.outbox').unlink(missing_ok=True)
-    chain.outbox.rmdir()
+    # With what the node may put into it at any moment.
+    chain.outbox.rename(chain.outbox.with_name('other'))
     aside.rename(chain.outbox)
     node.wait(lambda: node.counts()['spool.in_outbox'] == 2, 'it goes on')
 
@@ -409,9 +416,10 @@ def test_an_error_on_the_topics_costs_the_spool_nothing(site: Site, tmp_path: Pa
 def test_a_spool_that_is_deleted_is_said_and_begins_anew(chain: Chain) -> None:
     node = chain.downlink()
     node.wait(lambda: node.counts()['spool.waiting'] == 0, 'a release')
-    for path in chain.spool.iterdir():
-        path.unlink()
-    chain.spool.rmdir()
+    # All of it at once: the nodes make its files anew as soon as they miss them.
+    gone = chain.spool.with_name('gone')
+    chain.spool.rename(gone)
+    shutil.rmtree(gone)
     chain.store([0.5, 0.6])
     chain.chips.wait_for_log('was deleted or replaced, a new catalogue begins')
     node.wait(lambda: node.counts()['spool.delivered'] == 2, 'both are released')
@@ -481,7 +489,8 @@ def test_a_node_that_is_killed_in_the_middle_loses_nothing(chain: Chain) -> None
     chain.chips.wait(lambda: chain.books()['spool.waiting'] == 201, 'chips in the spool')
     for _ in range(3):
         node = chain.downlink()
-        node.wait(lambda: len(list(chain.outbox.glob('0/*.json'))) % 200 > 20, 'some releases')
+        # All of them may be out, if we stood still meanwhile.
+        node.wait(lambda: len(list(chain.outbox.glob(COMPLETE))) > 20, 'some releases')
         node.process.send_signal(signal.SIGKILL)
         assert node.process.wait() == -signal.SIGKILL
         chain.books()
@@ -508,7 +517,7 @@ def test_the_books_balance_after_every_kill_and_the_bus_has_what_they_say() -> N
     command = Path(__file__).parents[1] / 'soak' / 'kills.py'
     done = subprocess.run(
         [sys.executable, command, '--count', '30', '--seed', '1'],
-        check=False, capture_output=True, text=True, timeout=300,
+        check=False, capture_output=True, text=True, timeout=900,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(r'3[01] kills, .*none wrong', done.stdout)
