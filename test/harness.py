@@ -41,6 +41,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from sensor_msgs.msg import CameraInfo
@@ -70,6 +71,8 @@ SERVICES = {
 # Far more than anything takes, for machines that are busy with something else.
 TIMEOUT = 60.0
 RELIABLE = QoSProfile(depth=1000)
+# What was logged before a node knows of a subscriber comes as well.
+ROSOUT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 DOC = Path(__file__).parents[1] / 'doc'
 

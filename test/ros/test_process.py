@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
+from harness import ROSOUT
 from harness import Converter
 from harness import NodeProcess
 from harness import Peer
@@ -129,12 +130,20 @@ def test_every_topic_lies_in_the_namespace_but_diagnostics(start: Start) -> None
     node.wait(
         lambda: arguments in graph.get_node_names_and_namespaces(), 'the node in the graph'
     )
-    published = dict(graph.get_publisher_names_and_types_by_node(*arguments))
-    subscribed = dict(graph.get_subscriber_names_and_types_by_node(*arguments))
     inside = {f'{node.namespace}/{topic}' for topic in ('boxes', 'crop_regions')}
-    assert inside <= set(published)
-    assert '/diagnostics' in published
-    assert {f'{node.namespace}/{each}' for each in ('detections', 'camera_info')} <= set(subscribed)
+    node.wait(
+        lambda: {*inside, '/diagnostics'}
+        <= set(dict(graph.get_publisher_names_and_types_by_node(*arguments))),
+        'what it publishes',
+    )
+    inside = {f'{node.namespace}/{topic}' for topic in ('detections', 'camera_info')}
+    subscribed: set[str] = set()
+
+    def has_subscribed() -> bool:
+        subscribed.update(dict(graph.get_subscriber_names_and_types_by_node(*arguments)))
+        return inside <= subscribed
+
+    node.wait(has_subscribed, 'what it subscribes to')
     assert f'{node.namespace}/polygons' not in subscribed
 
 
@@ -252,9 +261,10 @@ def test_a_node_with_nothing_to_do_does_next_to_nothing(start: Start) -> None:
     node = start()
     node.connect()
     node.next_report()
-    before = node.process.cpu_seconds()
+    started, before = time.monotonic(), node.process.cpu_seconds()
     node.wait(lambda: len(node.reports()) >= 4, 'three seconds')
-    assert node.process.cpu_seconds() - before < 0.3
+    # A busy machine may make them more.
+    assert (node.process.cpu_seconds() - before) / (time.monotonic() - started) < 0.1
 
 
 # What cannot start ----------------------------------------------------------------------------
@@ -424,11 +434,15 @@ def test_a_log_that_nobody_reads_stops_nothing(
     monkeypatch.setattr(subprocess, 'Popen', with_full_log)
     node = start()
     node.connect()
-    log = node.peer.collect(Log, '/rosout')
+    log = node.peer.collect(Log, '/rosout', ROSOUT)
     for _ in range(3):
         node.publisher.publish(b'\x00\x01\x00\x00 no message at all')
         node.convert(detections(fleet(3)))
-    assert node.next_report().level == DiagnosticStatus.WARN
+    # It need not be the next one that tells.
+    node.wait(
+        lambda: any(each.status[0].level == DiagnosticStatus.WARN for each in node.reports()),
+        'the level',
+    )
     node.wait(lambda: any('cannot be read' in each.msg for each in log), 'the warning on /rosout')
     node.process.send_signal(signal.SIGTERM)
     assert node.process.wait(SOON) == 0
