@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import os
 import time
 from collections.abc import Callable
 from collections.abc import Iterator
@@ -38,6 +39,8 @@ pytestmark = pytest.mark.once
 REGIONS: list[Region] = [(10, 20, 31, 41), (0, 0, 8, 8), (90, 50, 120, 80)]
 WIDTH, HEIGHT = 120, 80
 
+_numbers = itertools.count()
+
 
 def pixels_of(chip: CompressedImage) -> NDArray[Any]:
     with Picture.open(io.BytesIO(chip.data.tobytes())) as file:
@@ -49,16 +52,23 @@ def place_of(info: CameraInfo) -> Region:
     return roi.x_offset, roi.y_offset, roi.x_offset + roi.width, roi.y_offset + roi.height
 
 
+def patient(site: Site, **parameters: Any) -> ChipNode:
+    """Start a node that loses no image, however long the machine keeps it from taking them."""
+    namespace = f'/patient_{os.getpid()}_{next(_numbers)}'
+    depth = {f'qos_overrides.{namespace}/image.subscription.depth': 100}
+    return ChipNode(site, depth | parameters, namespace)
+
+
 @pytest.fixture
 def start(site: Site) -> Iterator[Callable[..., ChipNode]]:
     """Starts nodes that end with the test."""
     with ExitStack() as stack:
-        yield lambda **parameters: stack.enter_context(ChipNode(site, parameters))
+        yield lambda **parameters: stack.enter_context(patient(site, **parameters))
 
 
 @pytest.fixture(scope='module')
 def shared(site: Site) -> Iterator[ChipNode]:
-    with ChipNode(site, {'codec': 'png'}) as node:
+    with patient(site, codec='png') as node:
         node.connect()
         yield node
 
@@ -137,7 +147,7 @@ def test_what_never_meets_comes_twice_or_has_no_stamp_is_counted_and_nothing_sta
     # No stamp.
     node.images.publish(image)
     node.send_plan(region, Header())
-    # Never meet. The middleware keeps ten that the node has not taken yet.
+    # Never meet.
     for _ in range(20):
         image.header = node.stamp()
         node.images.publish(image)
@@ -201,10 +211,11 @@ def test_a_chip_that_its_format_cannot_hold_is_counted_and_said(
     node.connect()
     node.send(np.zeros((1, side), np.uint8), 'mono8', [(0, 0, side, 1), (0, 0, 8, 1)])
     node.wait(lambda: node.chips, 'the other chip')
-    assert node.counts()['chips_dropped.encoder_failed'] == 1
     text = f'{codec} cannot hold the chip of {side} x 1 pixels at (0, 0)'
     node.wait(lambda: text in node.process.log, 'the warning')
     node.wait(lambda: node.warned(text), 'the level')
+    # Last, as it forgets the diagnostics before.
+    assert node.counts()['chips_dropped.encoder_failed'] == 1
 
 
 def test_a_plan_for_another_image_is_said(start: Callable[..., ChipNode]) -> None:
@@ -281,7 +292,8 @@ def test_the_budget_of_the_link_holds_and_every_chip_is_accounted_for(
 def test_an_inactive_node_sends_nothing_and_what_waited_is_counted(
     start: Callable[..., ChipNode]
 ) -> None:
-    node = start(codec='png')
+    # The plan waits as long as it takes to be deactivated.
+    node = start(**{'codec': 'png', 'cache.max_age': 60.0})
     node.connect()
     before = node.counts()
     node.send_plan(REGIONS, node.stamp())
@@ -302,24 +314,39 @@ def test_an_inactive_node_sends_nothing_and_what_waited_is_counted(
 def side_that_takes(seconds: float) -> int:
     """Find the side of a noisy image that takes some time to encode."""
     noise = np.random.default_rng(1).integers(0, 256, (500, 500, 3)).astype(np.uint8)
-    started = time.perf_counter()
-    encode(noise, CodecSettings('jpeg2000', lossless=True))
-    return int(500 * (seconds / (time.perf_counter() - started)) ** 0.5)
+    taken = []
+    for _ in range(3):
+        started = time.perf_counter()
+        encode(noise, CodecSettings('jpeg2000', lossless=True))
+        taken.append(time.perf_counter() - started)
+    return int(500 * (seconds / min(taken)) ** 0.5)
 
 
 @pytest.mark.parametrize('stall', [0.6, 0.9])
-def test_no_frame_is_lost_to_a_stall(node: ChipNode, stall: float) -> None:
-    node.set({'codec': 'jpeg2000', 'lossless': True})
+def test_no_frame_is_lost_to_a_stall(site: Site, stall: float) -> None:
+    with ChipNode(site, {'codec': 'jpeg2000', 'lossless': True}) as node:
+        node.connect()
+        send_through_a_stall(node, stall)
+
+
+def send_through_a_stall(node: ChipNode, stall: float) -> None:
+    """Send frames, one of which takes as long to encode as others take to come."""
     # A chip that takes as long to encode, amid frames that take none.
     side = side_that_takes(stall)
     large = np.random.default_rng(1).integers(0, 256, (side, side, 3)).astype(np.uint8)
     small = np.zeros((512, 512, 3), np.uint8)
-    started, sent = time.monotonic(), set()
+    sent: set[int] = set()
+
+    def on_the_way() -> int:
+        return len(sent - {chip.header.stamp.sec for chip in node.chips})
+
     for i in range(50):
-        node.peer.spin_to(started + 0.1 * i)
+        node.peer.spin_to(time.monotonic() + 0.1)
+        # A busy machine makes the stall longer, but no more frames come in it.
+        node.wait(lambda: on_the_way() <= 10.0 * stall, 'a chip')
         pixels, size = (large, side) if i == 20 else (small, 8)
         sent.add(node.send(pixels, 'rgb8', [(0, 0, size, size)]).stamp.sec)
-    node.wait(lambda: sent <= {chip.header.stamp.sec for chip in node.chips}, 'fifty chips')
+    node.wait(lambda: not on_the_way(), 'fifty chips')
     # It was one: longer than the time between frames.
     assert node.counts()['latency_max_ms'] > 100.0
 
@@ -333,11 +360,11 @@ def test_a_bag_that_loops_gives_its_chips_each_time_and_says_so(
     pixels = np.zeros((8, 8), np.uint8)
     for _ in range(3):
         node.forget()
-        for header in headers:
+        for i, header in enumerate(headers):
             node.images.publish(image_message('mono8', pixels, header))
             node.send_plan([(0, 0, 4, 4)], header)
-            time.sleep(0.03)
-        node.wait(lambda: len(node.chips) == 30, 'thirty chips')
+            node.wait(lambda i=i: len(node.chips) > i, 'its chip')
+        assert len(node.chips) == 30
     assert node.counts()['stamps_ran_back'] == 4
     assert 'ran back from ' in node.process.log
 
