@@ -181,7 +181,14 @@ def test_a_command_that_is_told_to_end_leaves_nothing_behind(ships: Path) -> Non
     ships.write_text(HEAD + ''.join(ROW.format(i % 10, i) for i in range(100_000)))
     folder = ships.with_name('target')
     folder.mkdir()
-    process = subprocess.Popen([*OBBHBB, 'convert', str(ships), str(folder / 'out.csv')])
+    # On a disk that takes long, so that it does not end before it is told to.
+    program = (
+        'import os, sys, time; from obbhbb_ros.cli import main; '
+        'os.fsync = lambda _: time.sleep(60); sys.exit(main())'
+    )
+    process = subprocess.Popen(
+        [sys.executable, '-c', program, 'convert', str(ships), str(folder / 'out.csv')]
+    )
     while not any(folder.iterdir()):
         assert process.poll() is None
         time.sleep(0.001)
