@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -40,8 +39,8 @@ RULES = (HullRule(), HullRule('shape_aware', 2.2, 0.9, 1.05))
 FLIPPED = ('method', 'q', 'f', 's')
 MESSAGE_PERIOD, FLIP_PERIOD, REPORT_PERIOD = 1 / 50, 1 / 10, 30.0
 DETECTIONS = 100
-GRACE = 5.0
-DEEP = QoSProfile(depth=100)
+GRACE = 30.0
+DEEP = QoSProfile(depth=1000)
 
 
 class Soak(Node):
@@ -57,15 +56,20 @@ class Soak(Node):
         self.by_rule = [0, 0]
         self.unanswered: set[int] = set()
         # Best effort by default: where nothing may be lost, a user asks for it like this.
-        qos = f'qos_overrides.{self.namespace}/detections.subscription'
-        self.start(parameters={f'{qos}.reliability': 'reliable', f'{qos}.depth': 100})
+        qos = f'qos_overrides.{self.namespace}'
+        self.start(parameters={
+            f'{qos}/detections.subscription.reliability': 'reliable',
+            f'{qos}/detections.subscription.depth': DEEP.depth,
+            f'{qos}/boxes.publisher.depth': DEEP.depth,
+        })
 
     def connect(self) -> None:
         """Wait until the node is there."""
         self._publisher = self.peer.publisher(Detection2DArray, 'detections', DEEP)
-        self.wait(lambda: self.peer.node.count_publishers('boxes'), 'the boxes')
         self.state()
-        self.peer.spin_to(time.monotonic() + 1.0)
+        # Until the node knows who listens, it answers to nobody.
+        self.send_until(self.send, lambda: self.sent not in self.unanswered, 'a first answer')
+        self.unanswered.clear()
 
     def send(self) -> None:
         """Send a message; its stamp is its number."""
