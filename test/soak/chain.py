@@ -35,9 +35,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from harness import Peer
 from harness import Site
 from harness import site_at
+from harness import time_of
 from ships import detector_message
 
-REPORT_PERIOD, GRACE = 30.0, 10.0
+REPORT_PERIOD, GRACE = 30.0, 30.0
 DEEP = QoSProfile(depth=10_000)
 
 
@@ -51,6 +52,7 @@ class Chain(ExitStack):
         self.chips: Counter[int] = Counter()
         self.places: Counter[int] = Counter()
         self.reports: dict[str, dict[str, str]] = {}
+        self.reported: dict[str, float] = {}
         for kind, topic, note in (
             (CompressedImage, 'chip/compressed', self.chips),
             (CameraInfo, 'chip/camera_info', self.places),
@@ -60,9 +62,19 @@ class Chain(ExitStack):
             )
         self.peer.node.create_subscription(DiagnosticArray, '/diagnostics', self._report, 10)
         size = {'image_width': side, 'image_height': side}
+        # Where nothing may be lost, whatever else the machine does.
+        qos = f'qos_overrides.{self._namespace}'
+        reliable = {
+            f'{qos}/detections.subscription.reliability': 'reliable',
+            f'{qos}/detections.subscription.depth': 1000,
+            f'{qos}/crop_regions.publisher.depth': 1000,
+        }
+        patient = {
+            f'{qos}/image.subscription.depth': 100, 'cache.images': 100, 'cache.max_age': 60.0,
+        }
         self.processes = [
             self.enter_context(site.start(name, namespace=self._namespace, parameters=parameters))
-            for name, parameters in (('obb_to_hbb', size), ('chip_extractor', {}))
+            for name, parameters in (('obb_to_hbb', size | reliable), ('chip_extractor', patient))
         ]
         self._message = bytearray(detector_message(detections, side))
         pixels = np.random.default_rng(1).integers(0, 256, side * side).astype(np.uint8)
@@ -75,11 +87,12 @@ class Chain(ExitStack):
         status = message.status[0]
         if status.name.startswith(self._namespace.lstrip('/')):
             values = {pair.key: pair.value for pair in status.values}
-            self.reports[status.name.rpartition('/')[2]] = values
+            node = status.name.rpartition('/')[2]
+            self.reports[node], self.reported[node] = values, time_of(message)
 
     def connect(self) -> None:
         """Wait until everything is connected."""
-        depths = QoSProfile(depth=100), QoSProfile(depth=16)
+        depths = QoSProfile(depth=1000), QoSProfile(depth=100)
         self._detections = self.peer.publisher(Detection2DArray, 'detections', depths[0])
         self._images = self.peer.publisher(Image, 'image', depths[1])
         graph = self.peer.node
@@ -124,7 +137,9 @@ def run(chain: Chain, rate: float, minutes: float) -> list[list[float]]:
     with contextlib.suppress(TimeoutError):
         chain.peer.spin_until(chain.settled, 'the last chips', GRACE)
     # What comes twice would come now, and the reports with the last counts.
-    chain.peer.spin_to(time.monotonic() + 2.5)
+    settled = time.time()
+    chain.peer.spin_to(time.monotonic() + 1.0)
+    chain.peer.spin_until(lambda: min(chain.reported.values()) > settled, 'the last counts')
     return resident
 
 
