@@ -513,7 +513,7 @@ def test_every_key_of_the_downlink_node_is_explained(chain: Chain) -> None:
     assert not unexplained(chain.books(), 'chip_extractor.md')
 
 
-def test_the_books_balance_after_every_kill_and_the_bus_has_what_they_say() -> None:
+def test_the_books_balance_after_every_kill_and_the_bus_has_what_they_say(site: Site) -> None:
     command = Path(__file__).parents[1] / 'soak' / 'kills.py'
     done = subprocess.run(
         [sys.executable, command, '--count', '30', '--seed', '1'],

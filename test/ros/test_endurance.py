@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from harness import Site
 
 TEST = Path(__file__).parents[1]
 
@@ -22,10 +23,10 @@ TEST = Path(__file__).parents[1]
         'benchmarks/node.py --sizes 1 --rounds 1',
     ],
 )
-def test_it_runs_and_finds_nothing(command: str) -> None:
+def test_it_runs_and_finds_nothing(site: Site, command: str) -> None:
     script, *arguments = command.split()
     ran = subprocess.run(
         [sys.executable, TEST / script, *arguments],
-        capture_output=True, text=True, timeout=180, check=False,
+        capture_output=True, text=True, timeout=600, check=False,
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
