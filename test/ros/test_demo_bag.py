@@ -43,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def printed(site: Site, folder: Path) -> str:
     """What the command prints, all of it on its standard output."""
     command = [sys.executable, '-m', 'obbhbb_ros.cli', 'demo', '--picture', folder / 'harbour.png']
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600)
     assert done.stderr == ''
     return done.stdout
 

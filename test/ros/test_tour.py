@@ -69,7 +69,7 @@ def printed(site: Site, checkout: Path) -> str:
             start_new_session=True,
         )
     try:
-        code = process.wait(180.0)
+        code = process.wait(600.0)
     finally:
         # A command that failed leaves the nodes behind it running.
         with suppress(ProcessLookupError):
