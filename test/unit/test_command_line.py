@@ -147,6 +147,23 @@ LONG = {
 }
 
 
+# The signal comes from the command's own process: from here it may come when all is done. Before
+# NumPy is loaded, Python itself may be interrupted.
+INTERRUPTED = """
+import os, signal, sys, threading, time
+from obbhbb_ros.cli import main
+
+def interrupt():
+    while 'numpy' not in sys.modules:
+        time.sleep(0.01)
+    time.sleep(0.3)
+    os.kill(os.getpid(), signal.SIGINT)
+
+threading.Thread(target=interrupt, daemon=True).start()
+sys.exit(main())
+"""
+
+
 @pytest.mark.parametrize('arguments', LONG.values(), ids=LONG)
 def test_ctrl_c_ends_a_command_in_silence(ships: Path, arguments: list[str]) -> None:
     if arguments[0] != 'chips':
@@ -156,18 +173,13 @@ def test_ctrl_c_ends_a_command_in_silence(ships: Path, arguments: list[str]) -> 
         for each in arguments
     ]
     process = subprocess.Popen(
-        [*OBBHBB, *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        [sys.executable, '-c', INTERRUPTED, *command],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         # A shell that starts it in the background has SIGINT ignored.
         preexec_fn=lambda: signal.signal(  # noqa: PLW1509
             signal.SIGINT, signal.default_int_handler
         ),
     )
-    # Before NumPy is loaded, Python itself may be interrupted.
-    while 'numpy' not in Path(f'/proc/{process.pid}/maps').read_text():
-        assert process.poll() is None
-        time.sleep(0.01)
-    time.sleep(0.3)
-    process.send_signal(signal.SIGINT)
     _, printed = process.communicate(timeout=60)
     # To a shell both are 130. Python ends itself by the signal, whatever the code, if it came while
     # an extension was imported.
