@@ -32,6 +32,11 @@ TOPICS = (
 def generate_launch_description() -> LaunchDescription:
     """Describe the nodes, each with a parameter file of its own, in one namespace."""
     return LaunchDescription([
+        argument(
+            'params_file', '',
+            'YAML file with parameters of any of the nodes; wins over those of one node (empty: '
+            'none)',
+        ),
         *(params_file(f'{name}_params_file', name) for name in NODES),
         argument('nodes', ' '.join(CHAIN), f'which nodes to start, of {", ".join(NODES)}'),
         argument(
@@ -41,8 +46,8 @@ def generate_launch_description() -> LaunchDescription:
         ),
         argument(
             'outbox', FOLDERS['outbox'],
-            'folder from which the bus takes chips; by default that of the parameter file, if it '
-            'names one (empty: as it says)',
+            'folder from which the bus takes chips; by default that of the parameter files, if '
+            'they name one (empty: as they say)',
         ),
         *(argument(topic, topic, f'topic to use for `{topic}`') for topic in TOPICS),
         *common_arguments(),
@@ -58,18 +63,25 @@ def _nodes(value: Callable[[str], str]) -> list[Any]:
     return [
         node(
             value, name, name,
-            [value(f'{name}_params_file'), *_paths(value, name), *state_file(value, name)],
+            [*_files(value, name), *_paths(value, name), *state_file(value, name)],
             TOPICS,
         )
         for name in chosen
     ]
 
 
+def _files(value: Callable[[str], str], name: str) -> list[str]:
+    """List the parameter files of a node; a later one wins."""
+    return list(filter(None, (value(f'{name}_params_file'), value('params_file'))))
+
+
 def _paths(value: Callable[[str], str], name: str) -> list[dict[str, str]]:
-    """Give the folders of a node; a default gives way to what its parameter file says."""
-    in_file = parameters_in(value(f'{name}_params_file'), value('namespace'), name)
+    """Give the folders of a node; a default gives way to what its parameter files say."""
+    said: dict[str, Any] = {}
+    for file in _files(value, name):
+        said.update(parameters_in(file, value('namespace'), name))
     return [
         {parameter: value(folder)}
         for folder, parameter in PATHS.get(name, {}).items()
-        if value(folder) and not (value(folder) == FOLDERS[folder] and in_file.get(parameter))
+        if value(folder) and not (value(folder) == FOLDERS[folder] and said.get(parameter))
     ]

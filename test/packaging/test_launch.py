@@ -72,10 +72,12 @@ def test_the_downlink_is_three_nodes_each_with_its_parameters(monkeypatch) -> No
 
 def test_every_argument_of_the_downlink_counts(tmp_path: Path) -> None:
     files = {name: tmp_path / f'{name}.yaml' for name in NODES}
-    for file in files.values():
+    common = tmp_path / 'common.yaml'
+    for file in (common, *files.values()):
         file.write_text('/**: {ros__parameters: {autostart: true}}\n')
     topics = {topic: f'/other/{topic}' for topic in CHAIN_TOPICS}
     given = {
+        'params_file': str(common),
         'nodes': ' '.join(NODES), 'namespace': 'payload', 'large_messages': 'true',
         'spool': '/data/spool', 'outbox': '/data/outbox', 'log_level': 'debug',
         'respawn': 'false', 'respawn_delay': '2.0', 'state': '/data/state', **topics,
@@ -87,7 +89,7 @@ def test_every_argument_of_the_downlink_counts(tmp_path: Path) -> None:
     for node in ran.started:
         itself = {'__node': node.executable, '__ns': '/payload'}
         assert node.remaps == itself | topics
-        assert node.values('--params-file') == [str(files[node.executable])]
+        assert node.values('--params-file') == [str(files[node.executable]), str(common)]
         assert node.values('--log-level') == ['debug']
         assert node.parameters.get('spool.path', '/data/spool') == '/data/spool'
         assert node.parameters['state.path'] == f'/data/state/payload/{node.executable}.json'
@@ -119,12 +121,13 @@ def test_nodes_are_launched_by_choice() -> None:
         ('/payload/downlink', {'outbox': ''}, set()),
     ],
 )
+@pytest.mark.parametrize('which', ['downlink_params_file', 'params_file'])
 def test_a_folder_of_the_parameter_file_counts_unless_another_is_given(
-    tmp_path: Path, section: str, given: dict[str, str], expected: set[str]
+    tmp_path: Path, which: str, section: str, given: dict[str, str], expected: set[str]
 ) -> None:
     file = tmp_path / 'mine.yaml'
     file.write_text(f'{section}: {{ros__parameters: {{spool.path: /mine, outbox.path: ""}}}}\n')
-    arguments = {'nodes': 'downlink', 'namespace': 'payload', 'downlink_params_file': str(file)}
+    arguments = {'nodes': 'downlink', 'namespace': 'payload', which: str(file)}
     (node,) = launched(DOWNLINK, arguments | given).started
     assert set(node.parameters) == expected
     assert node.parameters.get('spool.path') != '/mine'
