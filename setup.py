@@ -60,7 +60,7 @@ setup(
         'progress': PROGRESS,
         'bags': BAGS,
         'test': [
-            'hypothesis>=6.80', 'pytest>=7.4', 'colcon-common-extensions',
+            'hypothesis>=6.80', 'pytest>=7.4', 'pytest-xdist>=3.4', 'colcon-common-extensions',
             *BAGS, *CFDP, *GEO, *IMAGES, *LINT,
         ],
     },
