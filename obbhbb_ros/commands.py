@@ -427,6 +427,13 @@ def _gallery(options: _Options) -> int:
     return 0
 
 
+_CHIPS_LISTED, _EXPORTED = 20, Path('out/chips')
+# Options of `obbhbb spool` that one action takes.
+_OF_ONE_ACTION = {
+    'limit': 'list', 'json': 'list', 'to': 'revalue', 'by': 'revalue', 'output': 'export',
+}
+
+
 def _spool_options(add: _Add) -> None:
     add('spool', type=Path, metavar='PATH',
         help='folder of the spool; for export also a damaged catalogue, chips_*.sqlite3')
@@ -441,23 +448,27 @@ def _spool_options(add: _Add) -> None:
     add('--max-value', type=float, default=math.inf, metavar='V', help='only chips of this value '
         'or less')
     add('--all', action='store_true', help='delete or revalue all chips, without a condition')
-    add('--limit', type=int, default=20, metavar='N',
-        help='list: maximum number of chips (0: all); default: %(default)s')
+    add('--limit', type=int, metavar='N',
+        help=f'list: maximum number of chips (0: all); default: {_CHIPS_LISTED}')
     add('--json', action='store_true', help='list: print JSON')
     add('--to', type=float, metavar='V', help='revalue: the new value')
-    add('--by', type=float, metavar='F', help='revalue: factor on the value')
-    add('-o', '--output', type=Path, default=Path('out/chips'),
-        help='export: folder to write to; default: %(default)s')
+    add('--by', type=float, metavar='F', help='revalue: factor on the value, 0 or more')
+    add('-o', '--output', type=Path,
+        help=f'export: folder to write to; default: {_EXPORTED}')
 
 
 def _spool(options: _Options) -> int:
     """List, check, revalue, delete or export the chips of a spool."""
+    for name, action in _OF_ONE_ACTION.items():
+        given = getattr(options, name)
+        if action != options.action and given is not None and given is not False:
+            raise ValueError(f'{options.action}: takes no --{name}, it is for {action}')
     condition = spools.Condition(
         options.class_ids, options.ids, options.min_value, options.max_value
     )
     if options.spool.is_file() and options.action == 'export':
         chips = (each for each in intact_chips(options.spool) if condition.matches(each[0]))
-        print(f'{spools.export(chips, options.output)} chips exported')
+        print(f'{spools.export(chips, options.output or _EXPORTED)} chips exported')
         return 0
     if options.action in ('delete', 'revalue') and condition.is_any and not options.all:
         raise ValueError(f'{options.action}: which chips? Give a condition, or --all')
@@ -472,7 +483,8 @@ def _spool(options: _Options) -> int:
 
 def _list_spool(spool: Spool, condition: spools.Condition, options: _Options) -> int:
     """Show the books, and the chips that are released next."""
-    chips, status = spool.select(*condition.sql(), options.limit or -1), spool.status()
+    limit = _CHIPS_LISTED if options.limit is None else options.limit or -1
+    chips, status = spool.select(*condition.sql(), limit), spool.status()
     if options.json:
         print(json.dumps(spools.as_json(status, chips), indent=1, ensure_ascii=False))
     else:
@@ -494,6 +506,8 @@ def _revalue_spool(spool: Spool, condition: spools.Condition, options: _Options)
     factor, addend = (0.0, options.to) if options.by is None else (options.by, 0.0)
     if not math.isfinite(factor + addend):
         raise ValueError('revalue: the value must be finite')
+    if factor < 0.0:
+        raise ValueError('revalue: --by must be 0 or more: less would turn the order round')
     print(f'{spool.revalue(*condition.sql(), factor, addend)} chips revalued')
     return 0
 
@@ -507,7 +521,7 @@ def _delete_from_spool(spool: Spool, condition: spools.Condition, options: _Opti
 def _export_spool(spool: Spool, condition: spools.Condition, options: _Options) -> int:
     """Write chips and their JSON to a folder, and leave them in the spool."""
     chips = spools.files_of(spool, spool.select(*condition.sql()))
-    print(f'{spools.export(chips, options.output)} chips exported')
+    print(f'{spools.export(chips, options.output or _EXPORTED)} chips exported')
     return 0
 
 

@@ -212,6 +212,28 @@ def test_letters_that_the_terminal_lacks_are_written_as_numbers(tmp_path) -> Non
     assert 'b\\xe5t' in done.stdout
 
 
+@pytest.mark.parametrize(
+    ('action', 'option'),
+    [
+        ('delete', ['--limit', '2']), ('export', ['--limit', '0']), ('revalue', ['--limit', '2']),
+        ('check', ['--json']), ('export', ['--json']), ('list', ['--to', '4']),
+        ('delete', ['--by', '2']), ('list', ['-o', 'out']),
+    ],
+)
+def test_an_option_of_another_action_is_refused(folder, capsys, action, option) -> None:
+    before = values(folder)
+    assert run(folder, action, '--class', 'tug', *option) == 1
+    assert f'{action}: takes no --' in capsys.readouterr().err
+    assert values(folder) == before
+
+
+def test_a_factor_that_would_turn_the_order_round_is_refused(folder, capsys) -> None:
+    before = values(folder)
+    assert run(folder, 'revalue', '--all', '--by', '-1') == 1
+    assert '--by must be 0 or more' in capsys.readouterr().err
+    assert values(folder) == before
+
+
 def test_exported_chips_stay_in_the_spool(folder, tmp_path, capsys) -> None:
     out = tmp_path / 'out'
     assert run(folder, 'export', '--class', 'tug', '-o', out) == 0
