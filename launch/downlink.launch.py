@@ -13,9 +13,11 @@ from obbhbb_ros.launching import nodes
 from obbhbb_ros.launching import parameters_in
 from obbhbb_ros.launching import params_file
 from obbhbb_ros.launching import state_file
+from obbhbb_ros.launching import unread
 
 HOME = os.environ.get('ROS_HOME') or os.path.expanduser('~/.ros')
-FOLDERS = {'spool': f'{HOME}/obbhbb/spool', 'outbox': f'{HOME}/obbhbb/outbox'}
+# In place of a folder: none but that of the parameter files.
+NONE = 'none'
 # Arguments that set a parameter, by node.
 PATHS = {
     'chip_extractor': {'spool': 'spool.path'},
@@ -40,14 +42,14 @@ def generate_launch_description() -> LaunchDescription:
         *(params_file(f'{name}_params_file', name) for name in NODES),
         argument('nodes', ' '.join(CHAIN), f'which nodes to start, of {", ".join(NODES)}'),
         argument(
-            'spool', FOLDERS['spool'],
-            'folder in which chips wait for contact; by default that of the parameter files, if '
-            'they name one (empty: as they say)',
+            'spool', '',
+            'folder in which chips wait for contact; by default that of the parameter files, or '
+            f'{HOME}/obbhbb/<namespace>/spool if they name none (none: as they say)',
         ),
         argument(
-            'outbox', FOLDERS['outbox'],
-            'folder from which the bus takes chips; by default that of the parameter files, if '
-            'they name one (empty: as they say)',
+            'outbox', '',
+            'folder from which the bus takes chips; by default that of the parameter files, or '
+            f'{HOME}/obbhbb/<namespace>/outbox if they name none (none: as they say)',
         ),
         *(argument(topic, topic, f'topic to use for `{topic}`') for topic in TOPICS),
         *common_arguments(),
@@ -60,14 +62,17 @@ def _nodes(value: Callable[[str], str]) -> list[Any]:
     chosen = value('nodes').replace(',', ' ').split()
     if unknown := sorted({*chosen} - {*NODES}):
         raise ValueError(f'nodes: {", ".join(unknown)} is none of {", ".join(NODES)}')
+    files = {name: _files(value, name) for name in chosen}
     return [
-        node(
-            value, name, name,
-            [*_files(value, name), *_paths(value, name), *state_file(value, name)],
-            TOPICS,
-        )
-        for name in chosen
+        *unread(value('namespace'), files),
+        *(_node(value, name) for name in chosen),
     ]
+
+
+def _node(value: Callable[[str], str], name: str) -> Any:
+    """Describe a node."""
+    parameters = [*_files(value, name), *_paths(value, name), *state_file(value, name)]
+    return node(value, name, name, parameters, TOPICS)
 
 
 def _files(value: Callable[[str], str], name: str) -> list[str]:
@@ -81,7 +86,12 @@ def _paths(value: Callable[[str], str], name: str) -> list[dict[str, str]]:
     for file in _files(value, name):
         said.update(parameters_in(file, value('namespace'), name))
     return [
-        {parameter: value(folder)}
+        {parameter: value(folder) or _default(value('namespace'), folder)}
         for folder, parameter in PATHS.get(name, {}).items()
-        if value(folder) and not (value(folder) == FOLDERS[folder] and said.get(parameter))
+        if value(folder) != NONE and (value(folder) or not said.get(parameter))
     ]
+
+
+def _default(namespace: str, folder: str) -> str:
+    """Name a folder that no other namespace has."""
+    return '/'.join(filter(None, (HOME, 'obbhbb', namespace.strip('/'), folder)))

@@ -8,6 +8,7 @@ from obbhbb_ros.launching import node
 from obbhbb_ros.launching import nodes
 from obbhbb_ros.launching import params_file
 from obbhbb_ros.launching import state_file
+from obbhbb_ros.launching import unread
 
 TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions', 'crop_sources')
 
@@ -20,6 +21,7 @@ def generate_launch_description() -> LaunchDescription:
         *(argument(topic, topic, f'topic to use for `{topic}`') for topic in TOPICS),
         *common_arguments(),
         nodes(lambda value: [
+            *unread(value('namespace'), {value('name'): [value('params_file')]}),
             node(
                 value, 'obb_to_hbb', value('name'),
                 [value('params_file'), *state_file(value, value('name'))], TOPICS,

@@ -10,6 +10,7 @@ from typing import Any
 
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument
+from launch.actions import LogInfo
 from launch.actions import OpaqueFunction
 from launch.actions import SetEnvironmentVariable
 from launch.conditions import IfCondition
@@ -40,6 +41,20 @@ def parameters_in(file: str, namespace: str, node: str) -> Mapping[str, Any]:
         return {}
 
 
+def unread(namespace: str, files: Mapping[str, Sequence[str]]) -> list[Any]:
+    """Say which of the parameter files of each node have no parameters for any of them."""
+    full = {node: f'/{namespace.strip("/")}/{node}'.replace('//', '/') for node in files}
+    readers: dict[str, list[str]] = {}
+    for node, each in files.items():
+        for file in each:
+            readers.setdefault(file, []).append(node)
+    return [
+        LogInfo(msg=f'{file}: no parameters for {", ".join(full[node] for node in nodes)}')
+        for file, nodes in readers.items()
+        if not any(parameters_in(file, namespace, node) for node in nodes)
+    ]
+
+
 def common_arguments() -> list[Any]:
     """Declare the arguments of every launch file, and use the DDS profile if one asks for it."""
     share = get_package_share_directory(PACKAGE)
@@ -50,8 +65,8 @@ def common_arguments() -> list[Any]:
         argument('respawn_delay', '1.0', 'seconds before that'),
         argument(
             'state', '',
-            'folder in which each run of a node tells the next one how it ended (empty: as the '
-            'parameter files say)',
+            'folder in which each run of a node tells the next one how it ended; by default as the '
+            'parameter files say',
         ),
         argument('large_messages', 'false', 'use the DDS profile for messages over 0.5 MB'),
         SetEnvironmentVariable(
@@ -102,7 +117,15 @@ def node(
         Parameter files and parameters; a later one wins.
     topics : sequence of str
         Topics with an argument of the same name.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such parameter file; the node would start with its defaults.
     """
+    for file in parameters:
+        if isinstance(file, str) and not Path(file).is_file():
+            raise FileNotFoundError(f'{file}: no such parameter file')
     return Node(
         package=PACKAGE,
         executable=executable,

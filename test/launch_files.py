@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import runpy
 import signal
 import subprocess
@@ -55,10 +56,11 @@ class Started:
 
 @dataclass
 class Launched:
-    """What a launch file declares, with defaults below the package's folder, and what it starts."""
+    """What a launch file declares, with defaults below the package's folder, starts, and says."""
 
     declared: dict[str, str]
     started: list[Started]
+    said: list[str]
 
 
 def launched(file: Path, given: Mapping[str, str] | None = None) -> Launched:
@@ -68,7 +70,7 @@ def launched(file: Path, given: Mapping[str, str] | None = None) -> Launched:
         share = f'{folder}/share/obbhbb_ros/'
         found = json.loads(json.dumps(found).replace(share, ''))
     started = sorted((Started(*each) for each in found['started']), key=lambda s: s.executable)
-    return Launched(found['declared'], started)
+    return Launched(found['declared'], started, found['said'])
 
 
 # The real one ---------------------------------------------------------------------------------
@@ -150,6 +152,7 @@ def _by_launch(file: Path, given: Mapping[str, str], folder: Path) -> dict[str, 
     return {
         'declared': json.loads((folder / 'declared').read_text()),
         'started': [json.loads(each.read_text()) for each in latest.values()],
+        'said': re.findall(r'\[launch\.user\]: (.*)', (folder / 'log').read_text()),
     }
 
 
@@ -180,6 +183,9 @@ def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[st
     declared: dict[str, str] = {}
     started: list[tuple[str, list[str], str | None, dict[str, str], bool]] = []
     environment: dict[str, str] = {}
+    said: list[str] = []
+    (folder / 'share').mkdir()
+    (folder / 'share' / 'obbhbb_ros').symlink_to(ROOT)
 
     def declare(name: str, *, default_value: str, description: str) -> Callable[[], None]:
         assert description
@@ -216,6 +222,7 @@ def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[st
         'launch': {'LaunchDescription': list},
         'launch.actions': {
             'DeclareLaunchArgument': declare, 'SetEnvironmentVariable': set_variable,
+            'LogInfo': lambda msg: lambda: said.append(msg),
             'OpaqueFunction': lambda function: lambda: [action() for action in function(None)],
         },
         'launch.conditions': {'IfCondition': 'true'.__eq__},
@@ -232,4 +239,4 @@ def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[st
     ):
         for action in runpy.run_path(str(file))['generate_launch_description']():
             action()
-    return {'declared': declared, 'started': started}
+    return {'declared': declared, 'started': started, 'said': said}

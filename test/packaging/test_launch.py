@@ -56,7 +56,7 @@ def test_the_downlink_is_three_nodes_each_with_its_parameters(monkeypatch) -> No
     monkeypatch.setenv('ROS_HOME', '/home/of/ros')
     ran = launched(DOWNLINK).started
     assert [node.executable for node in ran] == sorted(CHAIN)
-    spool, outbox = '/home/of/ros/obbhbb/spool', '/home/of/ros/obbhbb/outbox'
+    spool, outbox = (f'/home/of/ros/obbhbb/{folder}' for folder in ('spool', 'outbox'))
     folders = {
         'chip_extractor': {'spool.path': spool}, 'obb_to_hbb': {},
         'downlink': {'spool.path': spool, 'outbox.path': outbox},
@@ -106,7 +106,8 @@ def test_each_node_can_be_launched_alone(name: str) -> None:
 
 
 def test_nodes_are_launched_by_choice() -> None:
-    ran = launched(DOWNLINK, {'nodes': 'downlink, chip_extractor', 'spool': '', 'respawn': 'false'})
+    given = {'nodes': 'downlink, chip_extractor', 'spool': 'none', 'respawn': 'false'}
+    ran = launched(DOWNLINK, given)
     assert [node.executable for node in ran.started] == ['chip_extractor', 'downlink']
     assert 'spool.path' not in {**ran.started[0].parameters, **ran.started[1].parameters}
 
@@ -118,7 +119,7 @@ def test_nodes_are_launched_by_choice() -> None:
         ('/**', {}, {'outbox.path'}),
         ('/elsewhere/downlink', {}, {'spool.path', 'outbox.path'}),
         ('/payload/downlink', {'spool': '/data/spool'}, {'spool.path', 'outbox.path'}),
-        ('/payload/downlink', {'outbox': ''}, set()),
+        ('/payload/downlink', {'outbox': 'none'}, set()),
     ],
 )
 @pytest.mark.parametrize('which', ['downlink_params_file', 'params_file'])
@@ -131,6 +132,39 @@ def test_a_folder_of_the_parameter_file_counts_unless_another_is_given(
     (node,) = launched(DOWNLINK, arguments | given).started
     assert set(node.parameters) == expected
     assert node.parameters.get('spool.path') != '/mine'
+
+
+def test_each_namespace_has_folders_of_its_own_by_default(monkeypatch) -> None:
+    monkeypatch.setenv('ROS_HOME', '/home/of/ros')
+    (node,) = launched(DOWNLINK, {'nodes': 'downlink', 'namespace': '/sat/payload'}).started
+    assert node.parameters == {
+        f'{folder}.path': f'/home/of/ros/obbhbb/sat/payload/{folder}'
+        for folder in ('spool', 'outbox')
+    }
+
+
+@pytest.mark.parametrize(
+    ('file', 'argument'),
+    [(CONVERTER, 'params_file'), (DOWNLINK, 'params_file'), (DOWNLINK, 'downlink_params_file')],
+)
+def test_a_parameter_file_without_parameters_for_a_node_is_said(
+    tmp_path: Path, file: Path, argument: str
+) -> None:
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text('/elsewhere/downlink: {ros__parameters: {q: 2.0}}\n')
+    (said,) = launched(file, {argument: str(mine), 'namespace': 'payload'}).said
+    assert said.startswith(f'{mine}: no parameters for /payload/')
+
+
+@pytest.mark.parametrize('file', [CONVERTER, DOWNLINK], ids=lambda file: file.name)
+def test_a_parameter_file_that_there_is_not_starts_nothing(file: Path) -> None:
+    with pytest.raises((FileNotFoundError, AssertionError), match='no such parameter file'):
+        launched(file, {'params_file': '/no.yaml'})
+
+
+@pytest.mark.parametrize('file', [CONVERTER, DOWNLINK], ids=lambda file: file.name)
+def test_nothing_is_said_of_the_parameter_files_of_the_package(file: Path) -> None:
+    assert launched(file, {'namespace': 'payload'}).said == []
 
 
 @pytest.mark.parametrize('file', [CONVERTER, DOWNLINK], ids=lambda file: file.name)
