@@ -74,6 +74,9 @@ RELIABLE = QoSProfile(depth=1000)
 # What was logged before a node knows of a subscriber comes as well.
 ROSOUT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
+# Fast DDS complains if a node of another test, in whatever domain, opens the same port just then.
+_SHARED_MEMORY = re.compile(r'.*RTPS_TRANSPORT_SHM.*\n')
+
 DOC = Path(__file__).parents[1] / 'doc'
 
 Region = tuple[int, int, int, int]
@@ -124,7 +127,9 @@ class NodeProcess(Closing):
     @property
     def log(self) -> str:
         """What it has printed, as far as it goes to a file."""
-        return '' if self.path is None else self.path.read_text(encoding='utf-8', errors='replace')
+        if self.path is None:
+            return ''
+        return _SHARED_MEMORY.sub('', self.path.read_text(encoding='utf-8', errors='replace'))
 
     @property
     def pid(self) -> int:

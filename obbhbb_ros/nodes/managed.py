@@ -14,6 +14,8 @@ from typing import Any
 from typing import Generic
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock
+from rclpy.clock import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode
@@ -41,6 +43,9 @@ from obbhbb_ros.wire.layouts import InputType
 
 _DEPTH = 10
 _WARN_PERIOD = 5.0
+_OVERRIDES = 'qos_overrides.'
+# Not that of `use_sim_time`, which may stand still or run back.
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 # Who subscribes to the diagnostics has to discover a node that is back before it hears of it.
 _RESTART_REPORTS = 10
 
@@ -118,7 +123,7 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         )
         if self.record.is_kept:
             # As long as the node lives, in every state.
-            self.create_timer(PERIOD, lambda: self.record.note(internals.state_label(self)))
+            self._every(PERIOD, lambda: self.record.note(internals.state_label(self)))
         self._restart_reports = 0
         self._tell_of_last_run()
         internals.refuse_impossible_transitions(self, self.get_logger().error)
@@ -126,6 +131,10 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
     @abstractmethod
     def _create_topics(self) -> None:
         """Create publishers by `_output` and subscriptions by `_input`."""
+
+    def _late_topics(self) -> Sequence[str]:
+        """List the topics that are not there from the beginning."""
+        return ()
 
     def _forget(self) -> None:
         """Drop what was collected from the topics."""
@@ -158,8 +167,9 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         """Create the topics; messages are ignored until activation."""
         try:
             self._create_topics()
+            self._warn_of_unused_overrides()
             self._diagnostics_publisher = self.create_publisher(DiagnosticArray, '/diagnostics', 1)
-            self._timer = self.create_timer(PERIOD, self._publish_diagnostics)
+            self._timer = self._every(PERIOD, self._publish_diagnostics)
         except Exception as error:
             self.get_logger().fatal(f'cannot configure: {type(error).__name__}: {error}')
             self._release()
@@ -200,6 +210,10 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
     def express_subscriptions(self) -> Sequence[Any]:
         """The subscriptions that the executor serves the short way, in this order."""
         return self._inputs
+
+    def _every(self, period: float, callback: Callable[[], object]) -> Any:
+        """Create a timer that goes on while a simulated clock stands still."""
+        return self.create_timer(period, callback, clock=_STEADY)
 
     def _output(
         self,
@@ -298,9 +312,23 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
     def _warn_of_unknown_parameters(self) -> None:
         """Warn of parameters that were given and do not exist."""
         unknown = self._parameters_in_force.unknown
-        unknown = [name for name in unknown if not name.startswith('qos_overrides.')]
+        unknown = [name for name in unknown if not name.startswith(_OVERRIDES)]
         if unknown:
             self.get_logger().warning('unknown parameters, ignored: ' + ', '.join(unknown))
+
+    def _warn_of_unused_overrides(self) -> None:
+        """Warn of QoS overrides that belong to no topic, or name no policy that can be changed."""
+        late = tuple(f'{_OVERRIDES}{topic}.' for topic in self._late_topics())
+        unused = [
+            name for name in self._parameters_in_force.unknown
+            if name.startswith(_OVERRIDES) and not name.startswith(late)
+            and not self.has_parameter(name)
+        ]
+        if unused:
+            self.get_logger().warning(
+                'ignored, no such topic (after namespace and remaps) or policy: '
+                + ', '.join(unused)
+            )
 
     def _silent_for(self, values: Mapping[str, Any]) -> float:
         """Return the seconds without input if that is too long, else 0; log when it begins."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from array import array
 from collections.abc import Mapping
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -91,6 +92,11 @@ class Overlay(ManagedNode[OverlaySettings]):
             for layer in LAYER_COLORS
         }
 
+    def _late_topics(self) -> Sequence[str]:
+        """List the inputs, which are subscribed to when somebody looks."""
+        topics = ('image', self._input_type.topic, 'boxes', 'crop_regions')
+        return [self.resolve_topic_name(topic) for topic in topics]
+
     def _forget(self) -> None:
         """Drop the frames that wait for their parts."""
         self._frames.clear()
@@ -139,7 +145,7 @@ class Overlay(ManagedNode[OverlaySettings]):
                 ('crop_regions', Detection2DArray, 'crop_regions', reliable, PLANS_KEPT),
             )
         }
-        self._ticks = self.create_timer(_TICK, self._draw_what_is_ready)
+        self._ticks = self._every(_TICK, self._draw_what_is_ready)
 
     def _on_message(self, kind: str, data: bytes) -> None:
         """Keep a part of a frame, and draw what is complete by it."""

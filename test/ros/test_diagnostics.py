@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -162,6 +163,16 @@ def test_a_silent_node_that_is_deactivated_does_not_say_that_input_is_back(
     assert node.change_state(Transition.TRANSITION_DEACTIVATE)
     node.wait(lambda: node.next_report().level == DiagnosticStatus.OK, 'no more of it')
     assert 'no longer without input' not in node.process.log
+
+
+def test_diagnostics_come_while_a_simulated_clock_stands_still(
+    start: Callable[..., Converter], tmp_path: Path
+) -> None:
+    state = tmp_path / 'state.json'
+    node = start(parameters={'use_sim_time': True, 'state.path': str(state)})
+    node.wait(lambda: len(node.reports()) >= 2, 'diagnostics')
+    first = state.read_bytes()
+    node.wait(lambda: state.read_bytes() != first, 'the next state file')
 
 
 def test_the_hardware_is_the_node_unless_it_has_another_name(node: Converter) -> None:

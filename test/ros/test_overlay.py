@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from harness import Node
 from harness import OverlayNode
 from harness import Site
 from harness import values_of
@@ -258,6 +259,16 @@ def test_nobody_pays_for_a_node_that_nobody_looks_at_and_it_misses_no_input(
     node.wait(lambda: not graph.count_subscribers(name), 'the end of the subscriptions')
     node.peer.collect(CompressedImage, 'overlay/compressed')
     node.wait(lambda: graph.count_subscribers(name), 'the subscriptions again')
+
+
+def test_an_override_of_an_input_counts_when_somebody_looks(site: Site) -> None:
+    override = 'qos_overrides./seldom_seen/image.subscription.depth'
+    with Node(site, 'overlay', '/seldom_seen') as node:
+        node.start(parameters={override: 3})
+        node.wait(node.reports, 'diagnostics')
+        assert node.process.log == ''
+        node.peer.collect(CompressedImage, 'overlay/compressed')
+        node.wait(lambda: node.get(override) == [3], 'the subscription')
 
 
 def test_polygons_are_drawn_in_place_of_boxes(start: Callable[..., OverlayNode]) -> None:

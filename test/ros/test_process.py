@@ -385,6 +385,17 @@ def test_a_parameter_file_can_override_the_profiles(start: Start, tmp_path: Path
     assert node.process.log == ''
 
 
+def test_an_override_of_no_topic_or_policy_is_said(start: Start) -> None:
+    unused = [
+        'qos_overrides./detections.subscription.depth',
+        'qos_overrides./odd/detections.subscription.lifespan',
+    ]
+    used = 'qos_overrides./odd/detections.subscription.depth'
+    node = start(parameters=dict.fromkeys([*unused, used], 3), namespace='/odd')
+    line = node.wait_for_log('ignored, no such topic')
+    assert line.endswith(': ' + ', '.join(unused))
+
+
 def test_best_effort_detectors_are_heard(start: Start) -> None:
     node = start()
     publisher = node.peer.publisher(Detection2DArray, 'detections', BEST_EFFORT)
