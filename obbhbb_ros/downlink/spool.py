@@ -596,7 +596,10 @@ class Spool:
     def _become_releaser(self, rows: sqlite3.Cursor) -> None:
         """Keep other releasers away."""
         if not self._catalogue.lock('releaser'):
-            raise SpoolError(f'{self._folder}: another process releases this spool')
+            raise SpoolError(
+                f'{self._folder}: another process releases this spool; each chain needs its own '
+                'spool.path and outbox.path'
+            )
 
 
 def describe_intact(chip: StoredChip, data: bytes) -> dict[str, Any] | None:
