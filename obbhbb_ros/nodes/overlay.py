@@ -94,8 +94,19 @@ class Overlay(ManagedNode[OverlaySettings]):
 
     def _late_topics(self) -> Sequence[str]:
         """List the inputs, which are subscribed to when somebody looks."""
-        topics = ('image', self._input_type.topic, 'boxes', 'crop_regions')
-        return [self.resolve_topic_name(topic) for topic in topics]
+        return [self.resolve_topic_name(topic) for _, _, topic, _, _ in self._layout_of_inputs()]
+
+    def _layout_of_inputs(self) -> Sequence[tuple[str, Any, str, ReliabilityPolicy, int]]:
+        """List kind, type, topic, reliability and depth of each input."""
+        reliable, any_reliability = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+        # As in the other nodes: a detector may publish as it likes, and what must not be lost
+        # beside the many pieces of a large image is asked for reliably.
+        return (
+            (IMAGE, Image, 'image', reliable, IMAGES_KEPT),
+            ('detections', self._message_type, self._input_type.topic, any_reliability, PLANS_KEPT),
+            ('boxes', Detection2DArray, 'boxes', reliable, PLANS_KEPT),
+            ('crop_regions', Detection2DArray, 'crop_regions', reliable, PLANS_KEPT),
+        )
 
     def _forget(self) -> None:
         """Drop the frames that wait for their parts."""
@@ -132,18 +143,9 @@ class Overlay(ManagedNode[OverlaySettings]):
 
     def _subscribe(self) -> None:
         """Create the subscriptions."""
-        reliable, any_reliability = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
-        # As in the other nodes: a detector may publish as it likes, and what must not be lost
-        # beside the many pieces of a large image is asked for reliably.
         self._subscriptions_by_kind = {
             kind: self._input(type_, topic, partial(self._on_message, kind), reliability, depth)
-            for kind, type_, topic, reliability, depth in (
-                (IMAGE, Image, 'image', reliable, IMAGES_KEPT),
-                ('detections', self._message_type, self._input_type.topic, any_reliability,
-                 PLANS_KEPT),
-                ('boxes', Detection2DArray, 'boxes', reliable, PLANS_KEPT),
-                ('crop_regions', Detection2DArray, 'crop_regions', reliable, PLANS_KEPT),
-            )
+            for kind, type_, topic, reliability, depth in self._layout_of_inputs()
         }
         self._ticks = self._every(_TICK, self._draw_what_is_ready)
 

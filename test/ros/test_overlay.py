@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -117,8 +118,20 @@ def test_an_image_is_drawn_without_a_layer_that_does_not_come_and_that_is_said(
     node.wait(
         lambda: any(text in each.status[0].message for each in node.reports()), 'the warning'
     )
-    node.wait_for_log('without')
     assert node.counts().since(before, 'layers_missing.') == {'layers_missing.crop_regions': 1}
+    # There it is said of one frame in five seconds.
+    node.send_until(
+        lambda: node.send(GREY, 'rgb8', detections=ROWS['detections'], boxes=ROWS['boxes']),
+        lambda: re.search(r'stamp \d+\.\d+ without crop_regions', node.process.log), 'the log',
+    )
+
+
+def test_an_image_is_drawn_after_its_wait_while_a_simulated_clock_stands_still(
+    start: Callable[..., OverlayNode]
+) -> None:
+    node = start(use_sim_time=True, max_wait=0.5)
+    node.connect('boxes')
+    node.picture_of(node.send(GREY, 'rgb8'))
 
 
 def test_layers_without_an_image_and_what_a_later_frame_overtook_are_dropped_and_counted(
