@@ -75,7 +75,9 @@ RELIABLE = QoSProfile(depth=1000)
 ROSOUT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 # Fast DDS complains if a node of another test, in whatever domain, opens the same port just then.
-_SHARED_MEMORY = re.compile(r'.*RTPS_TRANSPORT_SHM.*\n')
+_SHARED_MEMORY = re.compile(
+    r'.*RTPS_TRANSPORT_SHM.*Failed init_port fastrtps_port\d+: open_and_lock_file failed.*\n'
+)
 
 DOC = Path(__file__).parents[1] / 'doc'
 
