@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 from typing import Any
 
 if TYPE_CHECKING:
-    from obbhbb_ros.boxes import OrientedBoxes
-    from obbhbb_ros.converter import convert
+    from obbhbb_ros.geometry.boxes import OrientedBoxes
+    from obbhbb_ros.geometry.converter import convert
 
 __all__ = ['OrientedBoxes', 'convert']
 
@@ -21,6 +21,6 @@ def __getattr__(name: str) -> Any:
     if name == '__version__':
         return import_module('importlib.metadata').version('obbhbb_ros')
     if name in __all__:
-        module = {'OrientedBoxes': 'boxes', 'convert': 'converter'}[name]
+        module = {'OrientedBoxes': 'geometry.boxes', 'convert': 'geometry.converter'}[name]
         return getattr(import_module(f'obbhbb_ros.{module}'), name)
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

@@ -19,19 +19,19 @@ from typing import TypeAlias
 
 import numpy as np
 
-from obbhbb_ros import converter
 from obbhbb_ros import labels
 from obbhbb_ros.downlink import chips
 from obbhbb_ros.downlink.crops import CropSettings
-from obbhbb_ros.downlink.spool import Spool
-from obbhbb_ros.downlink.spool import intact_chips
 from obbhbb_ros.files import write_bytes
 from obbhbb_ros.files import write_text
+from obbhbb_ros.geometry import converter
+from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import images
 from obbhbb_ros.labels.axis_aligned import convert_file
 from obbhbb_ros.labels.records import BOW_SOURCES
-from obbhbb_ros.methods import METHODS
+from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.spool import intact_chips
 from obbhbb_ros.study import calibration
 from obbhbb_ros.study import chip_costs
 from obbhbb_ros.study import cross_validation

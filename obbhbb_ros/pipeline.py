@@ -20,16 +20,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import Defect
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.boxes import OrientedBoxes
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import centers_and_extents
-from obbhbb_ros.converter import half_extents
-from obbhbb_ros.converter import to_xyxy
 from obbhbb_ros.downlink.crops import CropPlan
 from obbhbb_ros.downlink.crops import plan_crops
-from obbhbb_ros.input_frame import InputFrame
+from obbhbb_ros.geometry.boxes import Defect
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import centers_and_extents
+from obbhbb_ros.geometry.converter import half_extents
+from obbhbb_ros.geometry.converter import to_xyxy
+from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.settings import Settings
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import InputType

@@ -25,25 +25,25 @@ from typing import TypeVar
 
 import numpy as np
 
-from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.colors import LAYER_COLORS
-from obbhbb_ros.converter import F_RANGE
-from obbhbb_ros.converter import Q_RANGE
-from obbhbb_ros.converter import S_RANGE
-from obbhbb_ros.converter import Caps
-from obbhbb_ros.converter import HullRule
 from obbhbb_ros.downlink.budget import BudgetSettings
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.pairing import PairingLimits
-from obbhbb_ros.downlink.release import ReleaseSettings
-from obbhbb_ros.input_frame import FITS
-from obbhbb_ros.input_frame import InputFrame
-from obbhbb_ros.methods import ONBOARD_METHODS
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.converter import F_RANGE
+from obbhbb_ros.geometry.converter import Q_RANGE
+from obbhbb_ros.geometry.converter import S_RANGE
+from obbhbb_ros.geometry.converter import Caps
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.input_frame import FITS
+from obbhbb_ros.geometry.input_frame import InputFrame
+from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 from obbhbb_ros.overlay.collector import CollectorLimits
 from obbhbb_ros.overlay.drawing import Style
 from obbhbb_ros.parameter_file import Value
+from obbhbb_ros.spool.release import ReleaseSettings
 from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 

@@ -26,9 +26,9 @@ from ships import detections
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.downlink.spool import Spool
-from obbhbb_ros.downlink.spool import Status
 from obbhbb_ros.nodes.play_detections import image_message
+from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.spool import Status
 
 SIDE, CHIPS = 256, 100
 PERIOD = 0.1

@@ -20,12 +20,12 @@ from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import encode
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.crops import plan_crops
-from obbhbb_ros.downlink.outbox import JSON_SUFFIX
-from obbhbb_ros.downlink.outbox import Outbox
-from obbhbb_ros.downlink.outbox import level_of
-from obbhbb_ros.downlink.spool import NewChip
-from obbhbb_ros.downlink.spool import Spool
 from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.spool.outbox import JSON_SUFFIX
+from obbhbb_ros.spool.outbox import Outbox
+from obbhbb_ros.spool.outbox import level_of
+from obbhbb_ros.spool.spool import NewChip
+from obbhbb_ros.spool.spool import Spool
 from obbhbb_ros.study.chip_costs import render
 from obbhbb_ros.study.harbour import harbour
 

@@ -20,11 +20,11 @@ from vision_msgs.msg import Detection2D
 from vision_msgs.msg import Detection2DArray
 from vision_msgs.msg import ObjectHypothesisWithPose
 
-from obbhbb_ros.boxes import OrientedBoxes
-from obbhbb_ros.converter import centers_and_extents
-from obbhbb_ros.converter import half_extents
-from obbhbb_ros.converter import to_xyxy
 from obbhbb_ros.downlink.crops import plan_crops
+from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.geometry.converter import centers_and_extents
+from obbhbb_ros.geometry.converter import half_extents
+from obbhbb_ros.geometry.converter import to_xyxy
 from obbhbb_ros.settings import Settings
 from obbhbb_ros.wire.layouts import InputType
 

@@ -23,10 +23,10 @@ from vision_msgs.msg import Detection2DArray
 from vision_msgs.msg import ObjectHypothesisWithPose
 
 from obbhbb_ros import OrientedBoxes
-from obbhbb_ros.converter import NO_CAPS
-from obbhbb_ros.converter import Caps
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import half_extents
+from obbhbb_ros.geometry.converter import NO_CAPS
+from obbhbb_ros.geometry.converter import Caps
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import half_extents
 
 FloatArray = NDArray[np.float64]
 

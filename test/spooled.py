@@ -14,12 +14,12 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from obbhbb_ros.downlink.catalogue import files
-from obbhbb_ros.downlink.outbox import Outbox
-from obbhbb_ros.downlink.release import Releaser
-from obbhbb_ros.downlink.release import ReleaseSettings
-from obbhbb_ros.downlink.spool import NewChip
-from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.spool.catalogue import files
+from obbhbb_ros.spool.outbox import Outbox
+from obbhbb_ros.spool.release import Releaser
+from obbhbb_ros.spool.release import ReleaseSettings
+from obbhbb_ros.spool.spool import NewChip
+from obbhbb_ros.spool.spool import Spool
 
 FACTS = {
     'frame_id': 'camera', 'roi': [10, 20, 30, 40], 'image_size': [640, 480], 'score': 0.5,

@@ -44,7 +44,7 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from obbhbb_ros.bags.topics import VERSION
 from obbhbb_ros.bags.topics import add_topic
-from obbhbb_ros.downlink.catalogue import lossy_text
+from obbhbb_ros.spool.catalogue import lossy_text
 
 _SUFFIXES = ('.mcap', '.db3')
 # Opcode, length, first and last time, size, checksum, length of the compression's name.

@@ -18,11 +18,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.downlink import require_not_negative
 from obbhbb_ros.downlink.merging import MergeRules
 from obbhbb_ros.downlink.merging import Pixels
 from obbhbb_ros.downlink.merging import merge_regions
+from obbhbb_ros.geometry.boxes import FloatArray
 
 _FARTHEST = 2.0**52
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 from obbhbb_ros.downlink.chips import Chip
-from obbhbb_ros.downlink.spool import NewChip
+from obbhbb_ros.spool.spool import NewChip
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.plans import Plan
 from obbhbb_ros.wire.plans import Source

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from obbhbb_ros.boxes import Defect
-from obbhbb_ros.converter import NO_CAPS
-from obbhbb_ros.converter import Caps
-from obbhbb_ros.converter import Conversion
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import convert_by_rule
-from obbhbb_ros.converter import convert_with_diagnostics
+from obbhbb_ros.geometry.boxes import Defect
+from obbhbb_ros.geometry.converter import NO_CAPS
+from obbhbb_ros.geometry.converter import Caps
+from obbhbb_ros.geometry.converter import Conversion
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import convert_by_rule
+from obbhbb_ros.geometry.converter import convert_with_diagnostics
 from obbhbb_ros.labels.files import bare_name
 from obbhbb_ros.labels.files import label_files
 from obbhbb_ros.labels.formats import FORMATS

@@ -21,8 +21,8 @@ from typing import get_args
 import numpy as np
 import numpy.typing as npt
 
-from obbhbb_ros.boxes import OrientedBoxes
-from obbhbb_ros.converter import Conversion
+from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.geometry.converter import Conversion
 
 FloatArray = npt.NDArray[np.float64]
 ImageSize = tuple[int, int]

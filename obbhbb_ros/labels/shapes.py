@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from obbhbb_ros.boxes import BLOCK
-from obbhbb_ros.boxes import FARTHEST
-from obbhbb_ros.boxes import Defect
-from obbhbb_ros.boxes import OrientedBoxes
-from obbhbb_ros.boxes import range_defect
+from obbhbb_ros.geometry.boxes import BLOCK
+from obbhbb_ros.geometry.boxes import FARTHEST
+from obbhbb_ros.geometry.boxes import Defect
+from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.geometry.boxes import range_defect
 from obbhbb_ros.labels.documents import plain_text
 from obbhbb_ros.labels.records import NO_REFERENCE
 from obbhbb_ros.labels.records import Box

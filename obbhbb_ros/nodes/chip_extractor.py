@@ -21,7 +21,6 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.downlink.budget import FrameBudget
 from obbhbb_ros.downlink.budget import TokenBucket
-from obbhbb_ros.downlink.catalogue import SpoolError
 from obbhbb_ros.downlink.chips import Chip
 from obbhbb_ros.downlink.chips import ChipError
 from obbhbb_ros.downlink.chips import Dropped
@@ -32,9 +31,6 @@ from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.downlink.pairing import Pairing
 from obbhbb_ros.downlink.pairing import Unpaired
 from obbhbb_ros.downlink.records import Recorder
-from obbhbb_ros.downlink.spool import Frame
-from obbhbb_ros.downlink.spool import NewChip
-from obbhbb_ros.downlink.spool import Spool
 from obbhbb_ros.downlink.stamps import ChipStamps
 from obbhbb_ros.downlink.stamps import Stamp
 from obbhbb_ros.nodes.camera import Camera
@@ -46,6 +42,10 @@ from obbhbb_ros.settings import CHIP_EXTRACTOR
 from obbhbb_ros.settings import IMAGES_KEPT
 from obbhbb_ros.settings import PLANS_KEPT
 from obbhbb_ros.settings import ChipSettings
+from obbhbb_ros.spool.catalogue import SpoolError
+from obbhbb_ros.spool.spool import Frame
+from obbhbb_ros.spool.spool import NewChip
+from obbhbb_ros.spool.spool import Spool
 from obbhbb_ros.wire.cdr import WireError
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image import read_image

@@ -33,10 +33,10 @@ from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 from visualization_msgs.msg import ImageMarker
 
-from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.colors import LAYER_COLORS
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 from obbhbb_ros.labels import ImageLabels
-from obbhbb_ros.methods import ONBOARD_METHODS
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.nodes.play_detections import image_message
 from obbhbb_ros.wire.detections import Detections

@@ -17,10 +17,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from obbhbb_ros.converter import PAPER_RULE
 from obbhbb_ros.files import write_text
+from obbhbb_ros.geometry.converter import PAPER_RULE
+from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.labels import FORMATS
-from obbhbb_ros.methods import METHODS
 from obbhbb_ros.nodes.play_detections import PLAY_DETECTIONS
 from obbhbb_ros.settings import CHIP_EXTRACTOR
 from obbhbb_ros.settings import DOWNLINK

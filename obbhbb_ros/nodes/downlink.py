@@ -12,16 +12,16 @@ from rclpy.qos import DurabilityPolicy
 from rclpy.qos import ReliabilityPolicy
 from std_msgs.msg import Bool
 
-from obbhbb_ros.downlink.catalogue import SpoolError
-from obbhbb_ros.downlink.outbox import Outbox
-from obbhbb_ros.downlink.release import IDLE
-from obbhbb_ros.downlink.release import Releaser
-from obbhbb_ros.downlink.spool import Spool
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.spool_report import facts_of
 from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.settings import DOWNLINK
 from obbhbb_ros.settings import DownlinkSettings
+from obbhbb_ros.spool.catalogue import SpoolError
+from obbhbb_ros.spool.outbox import Outbox
+from obbhbb_ros.spool.release import IDLE
+from obbhbb_ros.spool.release import Releaser
+from obbhbb_ros.spool.spool import Spool
 from obbhbb_ros.wire.cdr import WireError
 from obbhbb_ros.wire.contact import read_contact
 

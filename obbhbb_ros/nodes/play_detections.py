@@ -32,10 +32,10 @@ from vision_msgs.msg import Detection2D
 from vision_msgs.msg import Detection2DArray
 from vision_msgs.msg import ObjectHypothesisWithPose
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.data import HARBOUR
 from obbhbb_ros.data import HARBOUR_SIZE
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError

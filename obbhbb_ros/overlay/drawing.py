@@ -19,10 +19,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
 from obbhbb_ros.downlink.chips import ChipError
 from obbhbb_ros.downlink.chips import view_of
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.wire.image import WireImage
 
 # Of the picture's mean side: what is legible when the whole of it is on a screen.

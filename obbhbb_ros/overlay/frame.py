@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.colors import LAYER_COLORS
-from obbhbb_ros.input_frame import InputFrame
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.overlay.collector import IMAGE
 from obbhbb_ros.overlay.drawing import Labels
 from obbhbb_ros.overlay.drawing import Layer

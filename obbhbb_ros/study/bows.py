@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.study.metrics import hull_share
 from obbhbb_ros.study.metrics import outlines
 

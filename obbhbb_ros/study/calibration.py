@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.converter import S_RANGE
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import convert_by_rule
-from obbhbb_ros.methods import METHODS
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.converter import S_RANGE
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import convert_by_rule
+from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.study import grid_search
 from obbhbb_ros.study.grid_search import Bench
 from obbhbb_ros.study.grid_search import Point

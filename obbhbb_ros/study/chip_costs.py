@@ -17,10 +17,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import OrientedBoxes
-from obbhbb_ros.converter import convert_by_rule
 from obbhbb_ros.downlink import chips
 from obbhbb_ros.downlink import crops
+from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.study.rules import DEFAULT_RULES
 

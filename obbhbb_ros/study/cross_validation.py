@@ -16,10 +16,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.converter import PAPER_RULE
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import convert_by_rule
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.converter import PAPER_RULE
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import metrics
 from obbhbb_ros.study.calibration import FEWEST

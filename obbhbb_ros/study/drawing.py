@@ -24,12 +24,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.colors import METHOD_COLORS
 from obbhbb_ros.colors import ORIENTED_COLOR
-from obbhbb_ros.converter import convert_by_rule
 from obbhbb_ros.files import replacing
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study.chip_costs import ENCODERS

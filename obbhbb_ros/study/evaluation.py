@@ -23,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import convert_by_rule
 from obbhbb_ros.files import write_text
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.study import metrics
 from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.ships import Ships

@@ -30,8 +30,8 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels.images import opened_image
 from obbhbb_ros.study.pages import environment
 from obbhbb_ros.study.progress import printable

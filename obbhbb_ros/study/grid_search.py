@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.converter import F_RANGE
-from obbhbb_ros.converter import S_RANGE
-from obbhbb_ros.methods import Method
-from obbhbb_ros.methods import get_method
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.converter import F_RANGE
+from obbhbb_ros.geometry.converter import S_RANGE
+from obbhbb_ros.geometry.methods import Method
+from obbhbb_ros.geometry.methods import get_method
 from obbhbb_ros.study.metrics import Overlap
 from obbhbb_ros.study.metrics import area
 from obbhbb_ros.study.ships import Ships

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.data import HARBOUR
 from obbhbb_ros.data import HARBOUR_SIZE
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.study.metrics import bounds

@@ -20,8 +20,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.study.metrics import bounds
 from obbhbb_ros.study.ships import Ships
 

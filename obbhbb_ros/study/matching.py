@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels.files import bare_name
 from obbhbb_ros.study.metrics import bounds

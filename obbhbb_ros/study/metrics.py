@@ -19,8 +19,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import OrientedBoxes
 
 PROTOCOLS = {
     'obb': 'against the oriented box itself',

@@ -10,9 +10,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from obbhbb_ros.converter import PAPER_RULE
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import convert_by_rule
+from obbhbb_ros.geometry.converter import PAPER_RULE
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.study import hulls
 from obbhbb_ros.study.metrics import overlap_with_hbb
 from obbhbb_ros.study.ships import Ships

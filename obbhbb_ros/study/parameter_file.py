@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.methods import ONBOARD_METHODS
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 
 
 def yaml_text(

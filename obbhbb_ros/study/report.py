@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.converter import convert_by_rule
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.study import drawing
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import grid_search

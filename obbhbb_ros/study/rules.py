@@ -9,12 +9,12 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.converter import PAPER_RULE
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import centers_and_extents
-from obbhbb_ros.converter import to_xyxy
-from obbhbb_ros.methods import METHODS
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.converter import PAPER_RULE
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import centers_and_extents
+from obbhbb_ros.geometry.converter import to_xyxy
+from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.study.ships import Ships
 
 DEFAULT_RULES: MappingProxyType[str, HullRule] = MappingProxyType(

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import OnError
 from obbhbb_ros.labels import read_labels

@@ -13,17 +13,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from obbhbb_ros.downlink.catalogue import files
-from obbhbb_ros.downlink.catalogue import in_use
 from obbhbb_ros.downlink.chips import CODECS
-from obbhbb_ros.downlink.outbox import Outbox
-from obbhbb_ros.downlink.spool import CLAIMED
-from obbhbb_ros.downlink.spool import RELEASED
-from obbhbb_ros.downlink.spool import WAITING
-from obbhbb_ros.downlink.spool import Spool
-from obbhbb_ros.downlink.spool import Status
-from obbhbb_ros.downlink.spool import StoredChip
-from obbhbb_ros.downlink.spool import describe_intact
+from obbhbb_ros.spool.catalogue import files
+from obbhbb_ros.spool.catalogue import in_use
+from obbhbb_ros.spool.outbox import Outbox
+from obbhbb_ros.spool.spool import CLAIMED
+from obbhbb_ros.spool.spool import RELEASED
+from obbhbb_ros.spool.spool import WAITING
+from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.spool import Status
+from obbhbb_ros.spool.spool import StoredChip
+from obbhbb_ros.spool.spool import describe_intact
 from obbhbb_ros.study.progress import note
 from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track

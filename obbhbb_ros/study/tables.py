@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.converter import HullRule
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import metrics

@@ -20,7 +20,7 @@ import shapely
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
-from obbhbb_ros.methods import METHODS
+from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.study.tables import text_table
 
 LOOP_AT_MOST = 10_000

@@ -16,7 +16,6 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
 
-from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import cut
 from obbhbb_ros.downlink.chips import encode
@@ -25,6 +24,7 @@ from obbhbb_ros.downlink.chips import placed
 from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.crops import plan_crops
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.study.tables import text_table
 from obbhbb_ros.wire.image import read_image
 

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
-from obbhbb_ros.boxes import FloatArray
 from obbhbb_ros.downlink.budget import BudgetSettings
 from obbhbb_ros.downlink.budget import FrameBudget
 from obbhbb_ros.downlink.budget import TokenBucket
@@ -36,13 +35,14 @@ from obbhbb_ros.downlink.chips import chips_of
 from obbhbb_ros.downlink.crops import CropPlan
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.crops import plan_crops
-from obbhbb_ros.downlink.outbox import Outbox
-from obbhbb_ros.downlink.outbox import json_bytes
-from obbhbb_ros.downlink.release import Releaser
-from obbhbb_ros.downlink.release import ReleaseSettings
-from obbhbb_ros.downlink.spool import NewChip
-from obbhbb_ros.downlink.spool import Spool
-from obbhbb_ros.downlink.spool import Status
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.spool.outbox import Outbox
+from obbhbb_ros.spool.outbox import json_bytes
+from obbhbb_ros.spool.release import Releaser
+from obbhbb_ros.spool.release import ReleaseSettings
+from obbhbb_ros.spool.spool import NewChip
+from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.spool import Status
 from obbhbb_ros.study.chip_costs import render
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.tables import text_table

@@ -27,11 +27,11 @@ from spooled import FACTS
 
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import encode
-from obbhbb_ros.downlink.outbox import Outbox
-from obbhbb_ros.downlink.release import Releaser
-from obbhbb_ros.downlink.release import ReleaseSettings
-from obbhbb_ros.downlink.spool import NewChip
-from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.spool.outbox import Outbox
+from obbhbb_ros.spool.release import Releaser
+from obbhbb_ros.spool.release import ReleaseSettings
+from obbhbb_ros.spool.spool import NewChip
+from obbhbb_ros.spool.spool import Spool
 from obbhbb_ros.study.tables import text_table
 
 FRAME = 100

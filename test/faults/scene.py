@@ -20,11 +20,11 @@ from spooled import in_outbox
 from spooled import new_chip
 from spooled import releaser
 
-from obbhbb_ros.downlink.catalogue import files
-from obbhbb_ros.downlink.release import ReleaseSettings
-from obbhbb_ros.downlink.spool import CLAIMED
-from obbhbb_ros.downlink.spool import Spool
-from obbhbb_ros.downlink.spool import Status
+from obbhbb_ros.spool.catalogue import files
+from obbhbb_ros.spool.release import ReleaseSettings
+from obbhbb_ros.spool.spool import CLAIMED
+from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.spool import Status
 
 PLANNED = 8
 

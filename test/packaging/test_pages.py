@@ -21,10 +21,10 @@ from outboxes import make_spool
 
 from obbhbb_ros import cli
 from obbhbb_ros import commands
-from obbhbb_ros.boxes import Defect
 from obbhbb_ros.downlink.chips import Dropped
 from obbhbb_ros.downlink.crops import LeftOut
 from obbhbb_ros.downlink.pairing import Unpaired
+from obbhbb_ros.geometry.boxes import Defect
 from obbhbb_ros.nodes.documentation import NODE_TABLES
 from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.wire.layouts import INPUT_TYPES

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from std_msgs.msg import Header
 
-from obbhbb_ros.boxes import OrientedBoxes
-from obbhbb_ros.converter import HullRule
+from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.nodes.demo import xyxy_of
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.study.harbour import harbour

@@ -24,9 +24,9 @@ from vision_msgs.msg import ObjectHypothesisWithPose
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
-from obbhbb_ros.converter import Caps
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.methods import ONBOARD_METHODS
+from obbhbb_ros.geometry.converter import Caps
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 
 
 def hypothesis(class_id: str, score: float) -> ObjectHypothesisWithPose:

@@ -13,7 +13,7 @@ from harness import Site
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
 from obbhbb_ros.cli import main
-from obbhbb_ros.methods import ONBOARD_METHODS
+from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 from obbhbb_ros.nodes.demo import boxes_by_method
 from obbhbb_ros.study.harbour import harbour
 

@@ -18,9 +18,9 @@ from sensor_msgs.msg import CompressedImage
 
 from obbhbb_ros.cli import main
 from obbhbb_ros.colors import LAYER_COLORS
+from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.images import find_images
-from obbhbb_ros.methods import ONBOARD_METHODS
 
 # What it tests depends on rclpy, which is the same in all environments.
 pytestmark = pytest.mark.once

@@ -22,7 +22,7 @@ from std_msgs.msg import Header
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
-from obbhbb_ros.converter import HullRule
+from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.nodes.play_detections import _xywhr
 from obbhbb_ros.nodes.play_detections import detections_message

@@ -28,7 +28,7 @@ from ships import rows_of
 from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros import OrientedBoxes
-from obbhbb_ros.converter import HullRule
+from obbhbb_ros.geometry.converter import HullRule
 
 NAN, INF = float('nan'), float('inf')
 GOOD = (100.0, 80.0, 60.0, 20.0, 0.5)

@@ -31,8 +31,8 @@ from ships import fleet
 from ships import rows_of
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.converter import Caps
-from obbhbb_ros.converter import HullRule
+from obbhbb_ros.geometry.converter import Caps
+from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.nodes.documentation import NODE_TABLES
 from obbhbb_ros.parameter_file import read_values
 from obbhbb_ros.settings import MOST_CLASSES

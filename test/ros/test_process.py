@@ -36,8 +36,8 @@ from ships import fleet
 from ships import rows_of
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.converter import Caps
-from obbhbb_ros.converter import HullRule
+from obbhbb_ros.geometry.converter import Caps
+from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.settings import OBB_TO_HBB
 
 # What it tests depends on rclpy, which is the same in all environments.

@@ -30,9 +30,9 @@ from harness import parameters_of
 from harness import site_at
 from ships import detector_message
 
-from obbhbb_ros.boxes import OrientedBoxes
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import half_extents
+from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import half_extents
 from obbhbb_ros.wire.detections import Detections
 
 RULES = (HullRule(), HullRule('shape_aware', 2.2, 0.9, 1.05))

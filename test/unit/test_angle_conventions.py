@@ -10,7 +10,7 @@ import pytest
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
-from obbhbb_ros.methods import METHODS
+from obbhbb_ros.geometry.methods import METHODS
 
 QUARTER, HALF = math.pi / 2, math.pi
 CENTER = (400.0, 300.0)

@@ -11,14 +11,14 @@ from strategies import xywhr
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
-from obbhbb_ros.boxes import BLOCK
-from obbhbb_ros.converter import Caps
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import centers_and_extents
-from obbhbb_ros.converter import convert_by_rule
-from obbhbb_ros.converter import convert_with_diagnostics
-from obbhbb_ros.converter import to_xyxy
-from obbhbb_ros.methods import METHODS
+from obbhbb_ros.geometry.boxes import BLOCK
+from obbhbb_ros.geometry.converter import Caps
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import centers_and_extents
+from obbhbb_ros.geometry.converter import convert_by_rule
+from obbhbb_ros.geometry.converter import convert_with_diagnostics
+from obbhbb_ros.geometry.converter import to_xyxy
+from obbhbb_ros.geometry.methods import METHODS
 
 # Half-length 10, half-width 5, direction (0.6, 0.8): A = (6, 8), B = (4, 3).
 SLOPE = [0.0, 0.0, 20.0, 10.0, np.arctan2(0.8, 0.6)]

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from strategies import xywhr
 
 from obbhbb_ros import OrientedBoxes
-from obbhbb_ros.boxes import FARTHEST
-from obbhbb_ros.boxes import Defect
+from obbhbb_ros.geometry.boxes import FARTHEST
+from obbhbb_ros.geometry.boxes import Defect
 
 # The largest double but for its digits: its square overflows, and GEOS follows.
 _B = 1e308

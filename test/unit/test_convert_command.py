@@ -17,7 +17,7 @@ import pytest
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
 from obbhbb_ros.cli import main
-from obbhbb_ros.converter import HullRule
+from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.axis_aligned import convert_file

@@ -16,12 +16,12 @@ from strategies import xywhr
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
-from obbhbb_ros.boxes import BLOCK
-from obbhbb_ros.converter import Caps
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import convert_with_diagnostics
-from obbhbb_ros.converter import half_extents
-from obbhbb_ros.methods import METHODS
+from obbhbb_ros.geometry.boxes import BLOCK
+from obbhbb_ros.geometry.converter import Caps
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import convert_with_diagnostics
+from obbhbb_ros.geometry.converter import half_extents
+from obbhbb_ros.geometry.methods import METHODS
 
 DATA = Path(__file__).parents[1] / 'data'
 TUNABLE = [name for name, method in METHODS.items() if method.tunable]

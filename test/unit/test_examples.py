@@ -9,15 +9,15 @@ from pathlib import Path
 import pytest
 
 import obbhbb_ros
-from obbhbb_ros import boxes
-from obbhbb_ros import converter
 from obbhbb_ros import files
-from obbhbb_ros import methods
 from obbhbb_ros.downlink import budget
 from obbhbb_ros.downlink import chips
 from obbhbb_ros.downlink import crops
 from obbhbb_ros.downlink import merging
 from obbhbb_ros.downlink import pairing
+from obbhbb_ros.geometry import boxes
+from obbhbb_ros.geometry import converter
+from obbhbb_ros.geometry import methods
 
 # By their text, as some modules need what is not installed everywhere.
 MODULES = sorted(

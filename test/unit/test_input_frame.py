@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
-from obbhbb_ros.converter import half_extents
-from obbhbb_ros.input_frame import InputFrame
+from obbhbb_ros.geometry.converter import half_extents
+from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.pipeline import Batch
 from obbhbb_ros.settings import OBB_TO_HBB
 from obbhbb_ros.wire.detections import Detections

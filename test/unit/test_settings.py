@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from obbhbb_ros.converter import HullRule
+from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.parameter_file import read_values
 from obbhbb_ros.settings import CHIP_EXTRACTOR
 from obbhbb_ros.settings import OBB_TO_HBB

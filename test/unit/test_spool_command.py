@@ -15,9 +15,9 @@ from spooled import store
 from spooled import values_in_outbox
 
 from obbhbb_ros.cli import main
-from obbhbb_ros.downlink.catalogue import DAMAGED
-from obbhbb_ros.downlink.catalogue import files
-from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.spool.catalogue import DAMAGED
+from obbhbb_ros.spool.catalogue import files
+from obbhbb_ros.spool.spool import Spool
 
 ALL = float('inf')
 

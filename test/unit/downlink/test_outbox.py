@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from obbhbb_ros.downlink import outbox as module
-from obbhbb_ros.downlink.outbox import Outbox
-from obbhbb_ros.downlink.outbox import json_bytes
-from obbhbb_ros.downlink.outbox import level_of
+from obbhbb_ros.spool import outbox as module
+from obbhbb_ros.spool.outbox import Outbox
+from obbhbb_ros.spool.outbox import json_bytes
+from obbhbb_ros.spool.outbox import level_of
 
 
 def put(outbox, name='a', data=b'data', level=0, suffix='jpg'):

@@ -20,10 +20,10 @@ from spooled import store
 from spooled import values_in_outbox
 
 from obbhbb_ros.downlink.budget import BudgetSettings
-from obbhbb_ros.downlink.outbox import Outbox
-from obbhbb_ros.downlink.release import ReleaseSettings
-from obbhbb_ros.downlink.spool import CLAIMED
-from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.spool.outbox import Outbox
+from obbhbb_ros.spool.release import ReleaseSettings
+from obbhbb_ros.spool.spool import CLAIMED
+from obbhbb_ros.spool.spool import Spool
 
 REMOVAL = ReleaseSettings(removal=True)
 

@@ -26,15 +26,15 @@ from spooled import database
 from spooled import new_chip
 from spooled import store
 
-from obbhbb_ros.downlink import spool as spool_module
-from obbhbb_ros.downlink.catalogue import DAMAGED
-from obbhbb_ros.downlink.catalogue import SpoolError
-from obbhbb_ros.downlink.catalogue import files
-from obbhbb_ros.downlink.outbox import json_bytes
-from obbhbb_ros.downlink.spool import CLAIMED
-from obbhbb_ros.downlink.spool import RELEASED
-from obbhbb_ros.downlink.spool import Spool
-from obbhbb_ros.downlink.spool import intact_chips
+from obbhbb_ros.spool import spool as spool_module
+from obbhbb_ros.spool.catalogue import DAMAGED
+from obbhbb_ros.spool.catalogue import SpoolError
+from obbhbb_ros.spool.catalogue import files
+from obbhbb_ros.spool.outbox import json_bytes
+from obbhbb_ros.spool.spool import CLAIMED
+from obbhbb_ros.spool.spool import RELEASED
+from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.spool import intact_chips
 
 ALL = float('inf')
 MB = 1e6
@@ -398,7 +398,7 @@ def test_frames_of_a_writer_that_was_closed_were_interrupted(tmp_path, troubles)
 WRITER = """
 import sys
 from pathlib import Path
-from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.spool.spool import Spool
 Spool(Path(sys.argv[1]), print, 'writer').plan(int(sys.argv[2]))
 print('planned', flush=True)
 sys.stdin.read()

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from obbhbb_ros.converter import Conversion
+from obbhbb_ros.geometry.converter import Conversion
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import ImageBoxes
 from obbhbb_ros.labels import read_labels

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import shapely
 
-from obbhbb_ros.boxes import BLOCK
+from obbhbb_ros.geometry.boxes import BLOCK
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from obbhbb_ros import convert
-from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
 

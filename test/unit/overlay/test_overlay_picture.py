@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import OrientedBoxes
 from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.colors import METHOD_COLORS
 from obbhbb_ros.colors import ORIENTED_COLOR
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
+from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.overlay.drawing import Labels
 from obbhbb_ros.overlay.drawing import Layer
 from obbhbb_ros.overlay.drawing import OverlayError

@@ -19,7 +19,7 @@ from PIL import Image
 from spooled import store
 
 from obbhbb_ros.cli import main
-from obbhbb_ros.downlink.spool import Spool
+from obbhbb_ros.spool.spool import Spool
 from obbhbb_ros.study.spools import export
 from obbhbb_ros.study.spools import files_of
 

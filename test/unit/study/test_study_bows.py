@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros.cli import main
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import convert_by_rule
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.study.bows import bow_sides
 from obbhbb_ros.study.bows import with_bows

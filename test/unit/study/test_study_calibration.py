@@ -13,8 +13,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from obbhbb_ros import OrientedBoxes
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import convert_by_rule
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.study.calibration import LEAST_GAIN
 from obbhbb_ros.study.calibration import Plan
 from obbhbb_ros.study.calibration import calibrate

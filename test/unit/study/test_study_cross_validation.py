@@ -10,8 +10,8 @@ from fleets import REAL
 from fleets import fleet
 
 from obbhbb_ros import OrientedBoxes
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import convert_by_rule
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.study.calibration import Plan
 from obbhbb_ros.study.calibration import calibrate
 from obbhbb_ros.study.cross_validation import CALIBRATED

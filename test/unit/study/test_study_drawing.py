@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from fleets import REAL
 
+from obbhbb_ros.geometry.methods import METHODS
+from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 from obbhbb_ros.labels import read_labels
-from obbhbb_ros.methods import METHODS
-from obbhbb_ros.methods import ONBOARD_METHODS
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.ships import read_ships
 

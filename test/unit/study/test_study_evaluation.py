@@ -12,9 +12,9 @@ from fleets import fleet
 from hypothesis import given
 from hypothesis import strategies as st
 
-from obbhbb_ros.converter import HullRule
-from obbhbb_ros.converter import convert_by_rule
-from obbhbb_ros.methods import METHODS
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import convert_by_rule
+from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.study.evaluation import ALL
 from obbhbb_ros.study.evaluation import FIGURES
 from obbhbb_ros.study.evaluation import Settings

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
-from obbhbb_ros.methods import METHODS
+from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.study.metrics import overlap_with_hbb
 from obbhbb_ros.study.metrics import overlap_with_obb
 from obbhbb_ros.study.ships import read_ships

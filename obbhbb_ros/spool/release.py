@@ -16,17 +16,17 @@ from math import inf
 
 from obbhbb_ros.downlink.budget import BudgetSettings
 from obbhbb_ros.downlink.budget import TokenBucket
-from obbhbb_ros.downlink.catalogue import SpoolError
 from obbhbb_ros.downlink.chips import CODECS
-from obbhbb_ros.downlink.outbox import Contents
-from obbhbb_ros.downlink.outbox import Outbox
-from obbhbb_ros.downlink.outbox import json_bytes
-from obbhbb_ros.downlink.outbox import level_of
-from obbhbb_ros.downlink.spool import CLAIMED
-from obbhbb_ros.downlink.spool import RELEASED
-from obbhbb_ros.downlink.spool import Spool
-from obbhbb_ros.downlink.spool import StoredChip
-from obbhbb_ros.downlink.spool import describe_intact
+from obbhbb_ros.spool.catalogue import SpoolError
+from obbhbb_ros.spool.outbox import Contents
+from obbhbb_ros.spool.outbox import Outbox
+from obbhbb_ros.spool.outbox import json_bytes
+from obbhbb_ros.spool.outbox import level_of
+from obbhbb_ros.spool.spool import CLAIMED
+from obbhbb_ros.spool.spool import RELEASED
+from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.spool import StoredChip
+from obbhbb_ros.spool.spool import describe_intact
 
 # Chips that are claimed at once.
 _BATCH = 16

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.boxes import BLOCK
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.boxes import OrientedBoxes
-from obbhbb_ros.boxes import blocks
-from obbhbb_ros.boxes import longer_first
-from obbhbb_ros.methods import METHODS
-from obbhbb_ros.methods import get_method
+from obbhbb_ros.geometry.boxes import BLOCK
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.geometry.boxes import blocks
+from obbhbb_ros.geometry.boxes import longer_first
+from obbhbb_ros.geometry.methods import METHODS
+from obbhbb_ros.geometry.methods import get_method
 
 Q_RANGE = (1.0, math.inf)
 # The lower ends are excluded.
@@ -31,7 +31,7 @@ class HullRule:
     Attributes
     ----------
     method : str
-        A key of `obbhbb_ros.methods.METHODS`.
+        A key of `obbhbb_ros.geometry.methods.METHODS`.
     q : float
         Shape exponent in [1, inf].
     f : float
@@ -166,7 +166,7 @@ def convert(
     boxes : OrientedBoxes
         N boxes.
     method : str
-        A key of `obbhbb_ros.methods.METHODS`.
+        A key of `obbhbb_ros.geometry.methods.METHODS`.
     q, f, s : float
         Shape exponent in [1, inf], fullness and shrink factor in (0, 2]; used by the tunable
         methods only.

@@ -35,11 +35,11 @@ from typing import Any
 from typing import NamedTuple
 from typing import TypeVar
 
-from obbhbb_ros.downlink.catalogue import PATIENCE
-from obbhbb_ros.downlink.catalogue import Catalogue
-from obbhbb_ros.downlink.catalogue import SpoolError
-from obbhbb_ros.downlink.catalogue import lossy_text
 from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.spool.catalogue import PATIENCE
+from obbhbb_ros.spool.catalogue import Catalogue
+from obbhbb_ros.spool.catalogue import SpoolError
+from obbhbb_ros.spool.catalogue import lossy_text
 
 T = TypeVar('T')
 

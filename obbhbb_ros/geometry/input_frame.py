@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from obbhbb_ros.boxes import FloatArray
-from obbhbb_ros.boxes import OrientedBoxes
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import OrientedBoxes
 
 FITS = ('none', 'stretch', 'letterbox')
 
