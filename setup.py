@@ -27,7 +27,7 @@ PEERS = ['supervision>=0.27']
 GEO = ['geopandas>=0.14', 'pyogrio>=0.7']
 PROGRESS = ['tqdm>=4.60']
 BAGS = ['rosbags>=0.11.9', 'mcap>=1.2', 'pyyaml>=5.4']
-LINT = ['mypy>=1.8', 'ruff>=0.6']
+LINT = ['mypy>=1.8', 'ruff~=0.17.0']
 # The second is for pip before 24, which cannot find the version that cfdp-py needs by itself.
 CFDP = ['cfdp-py>=0.7', 'fastcrc~=0.3.0']
 
@@ -60,8 +60,15 @@ setup(
         'progress': PROGRESS,
         'bags': BAGS,
         'test': [
-            'hypothesis>=6.80', 'pytest>=7.4', 'pytest-xdist>=3.4', 'colcon-common-extensions',
-            *BAGS, *CFDP, *GEO, *IMAGES, *LINT,
+            'hypothesis>=6.80',
+            'pytest>=7.4',
+            'pytest-xdist>=3.4',
+            'colcon-common-extensions',
+            *BAGS,
+            *CFDP,
+            *GEO,
+            *IMAGES,
+            *LINT,
         ],
     },
     entry_points={

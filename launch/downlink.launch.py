@@ -26,35 +26,46 @@ PATHS = {
 CHAIN = ('obb_to_hbb', 'chip_extractor', 'downlink')
 NODES = (*CHAIN, 'overlay')
 TOPICS = (
-    'detections', 'polygons', 'camera_info', 'image', 'contact',
-    'boxes', 'crop_regions', 'crop_sources',
+    'detections',
+    'polygons',
+    'camera_info',
+    'image',
+    'contact',
+    'boxes',
+    'crop_regions',
+    'crop_sources',
 )
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the nodes, each with a parameter file of its own, in one namespace."""
-    return LaunchDescription([
-        argument(
-            'params_file', '',
-            'YAML file with parameters of any of the nodes; wins over those of one node (empty: '
-            'none)',
-        ),
-        *(params_file(f'{name}_params_file', name) for name in NODES),
-        argument('nodes', ' '.join(CHAIN), f'which nodes to start, of {", ".join(NODES)}'),
-        argument(
-            'spool', '',
-            'folder in which chips wait for contact; by default that of the parameter files, or '
-            f'{HOME}/obbhbb/<namespace>/spool if they name none (none: as they say)',
-        ),
-        argument(
-            'outbox', '',
-            'folder from which the bus takes chips; by default that of the parameter files, or '
-            f'{HOME}/obbhbb/<namespace>/outbox if they name none (none: as they say)',
-        ),
-        *(argument(topic, topic, f'topic to use for `{topic}`') for topic in TOPICS),
-        *common_arguments(),
-        nodes(_nodes),
-    ])
+    return LaunchDescription(
+        [
+            argument(
+                'params_file',
+                '',
+                'YAML file with parameters of any of the nodes; wins over those of one node '
+                '(empty: none)',
+            ),
+            *(params_file(f'{name}_params_file', name) for name in NODES),
+            argument('nodes', ' '.join(CHAIN), f'which nodes to start, of {", ".join(NODES)}'),
+            argument(
+                'spool',
+                '',
+                'folder in which chips wait for contact; by default that of the parameter files, '
+                f'or {HOME}/obbhbb/<namespace>/spool if they name none (none: as they say)',
+            ),
+            argument(
+                'outbox',
+                '',
+                'folder from which the bus takes chips; by default that of the parameter files, or '
+                f'{HOME}/obbhbb/<namespace>/outbox if they name none (none: as they say)',
+            ),
+            *(argument(topic, topic, f'topic to use for `{topic}`') for topic in TOPICS),
+            *common_arguments(),
+            nodes(_nodes),
+        ]
+    )
 
 
 def _nodes(value: Callable[[str], str]) -> list[Any]:

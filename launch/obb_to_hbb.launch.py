@@ -15,16 +15,23 @@ TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions', 'cro
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the node, with its parameter file and topics as arguments."""
-    return LaunchDescription([
-        params_file('params_file', 'obb_to_hbb'),
-        argument('name', 'obb_to_hbb', 'name of the node'),
-        *(argument(topic, topic, f'topic to use for `{topic}`') for topic in TOPICS),
-        *common_arguments(),
-        nodes(lambda value: [
-            *unread(value('namespace'), {value('name'): [value('params_file')]}),
-            node(
-                value, 'obb_to_hbb', value('name'),
-                [value('params_file'), *state_file(value, value('name'))], TOPICS,
+    return LaunchDescription(
+        [
+            params_file('params_file', 'obb_to_hbb'),
+            argument('name', 'obb_to_hbb', 'name of the node'),
+            *(argument(topic, topic, f'topic to use for `{topic}`') for topic in TOPICS),
+            *common_arguments(),
+            nodes(
+                lambda value: [
+                    *unread(value('namespace'), {value('name'): [value('params_file')]}),
+                    node(
+                        value,
+                        'obb_to_hbb',
+                        value('name'),
+                        [value('params_file'), *state_file(value, value('name'))],
+                        TOPICS,
+                    ),
+                ]
             ),
-        ]),
-    ])
+        ]
+    )

@@ -82,9 +82,12 @@ def run(arguments: Sequence[str]) -> int:
 
 def _demo_options(add: _Add) -> None:
     add('--picture', type=Path, default=Path('out/harbour.png'), help='default: %(default)s')
-    add('--bag', type=Path,
+    add(
+        '--bag',
+        type=Path,
         help='bag (rosbag2, MCAP) to write; default: harbour_bag beside the picture, where it is '
-        'replaced')
+        'replaced',
+    )
 
 
 def _demo(options: _Options) -> int:
@@ -135,24 +138,47 @@ def _convert_options(add: _Add) -> None:
     written = [name for name, each in FORMATS.items() if each.write_boxes is not None]
     add('source', metavar='IN', type=Path, help='label file or folder to read')
     add('target', metavar='OUT', type=Path, help='file or folder to write')
-    add('--from', dest='source_format', metavar='FORMAT',
-        help=f'format of IN: {", ".join(FORMATS)}; default: detected')
-    add('--to', dest='target_format', metavar='FORMAT',
-        help=f'format of OUT: {", ".join(written)}; default: by the suffix of OUT')
+    add(
+        '--from',
+        dest='source_format',
+        metavar='FORMAT',
+        help=f'format of IN: {", ".join(FORMATS)}; default: detected',
+    )
+    add(
+        '--to',
+        dest='target_format',
+        metavar='FORMAT',
+        help=f'format of OUT: {", ".join(written)}; default: by the suffix of OUT',
+    )
     add('--method', default=rule.method, help=f'{", ".join(METHODS)}; default: %(default)s')
     _add_numbers(add, rule, PARAMETERS)
     _add_ends(add)
-    add('--bow', choices=BOW_SOURCES, default='none',
+    add(
+        '--bow',
+        choices=BOW_SOURCES,
+        default='none',
         help='where the bow is known: labels: as the labels say (head points of hrsc); first-edge: '
-        'the first two corners of every box are its bow end; default: %(default)s')
+        'the first two corners of every box are its bow end; default: %(default)s',
+    )
     add('--max-length', type=float, help='maximum of the longer side, pixels')
     add('--max-width', type=float, help='maximum of the shorter side, pixels')
-    add('--diagnostics', action='store_true',
-        help='also write length, width, theta, t_x, t_y and capped of each box')
-    add('--image-size', type=int, nargs=2, metavar=('W', 'H'),
-        help='size of every image, pixels; default: from labels or images')
-    add('--strict', action='store_true',
-        help='exit with 1 if any record was malformed or could not be converted')
+    add(
+        '--diagnostics',
+        action='store_true',
+        help='also write length, width, theta, t_x, t_y and capped of each box',
+    )
+    add(
+        '--image-size',
+        type=int,
+        nargs=2,
+        metavar=('W', 'H'),
+        help='size of every image, pixels; default: from labels or images',
+    )
+    add(
+        '--strict',
+        action='store_true',
+        help='exit with 1 if any record was malformed or could not be converted',
+    )
 
 
 def _convert(options: _Options) -> int:
@@ -188,18 +214,29 @@ def _evaluate_options(add: _Add) -> None:
     _add_labels(add, '+')
     add('--methods', nargs='+', metavar='METHOD', help=f'{", ".join(METHODS)}; default: all')
     meanings = '; '.join(f'{name}: {meaning}' for name, meaning in PROTOCOLS.items())
-    add('--protocol', choices=(*PROTOCOLS, 'both'), default='both',
-        help=f'{meanings}; default: %(default)s')
+    add(
+        '--protocol',
+        choices=(*PROTOCOLS, 'both'),
+        default='both',
+        help=f'{meanings}; default: %(default)s',
+    )
     for name, meaning in PARAMETERS.items():
-        add(f'--{name}', type=float,
-            help=f'{meaning}, of the tunable methods; default: that of each method')
+        add(
+            f'--{name}',
+            type=float,
+            help=f'{meaning}, of the tunable methods; default: that of each method',
+        )
     _add_ends(add)
-    _add_numbers(add, evaluation.DEFAULT_SETTINGS, {
-        'threshold': 'lowest IoU of a match',
-        'keep': 'share of the reference box that a box must contain to count as kept',
-        'bootstrap': 'bootstrap samples for the confidence intervals, 0 for none',
-        'seed': 'seed of the bootstrap samples',
-    })
+    _add_numbers(
+        add,
+        evaluation.DEFAULT_SETTINGS,
+        {
+            'threshold': 'lowest IoU of a match',
+            'keep': 'share of the reference box that a box must contain to count as kept',
+            'bootstrap': 'bootstrap samples for the confidence intervals, 0 for none',
+            'seed': 'seed of the bootstrap samples',
+        },
+    )
     add('--json', type=Path, help='JSON file to write the scores to')
     add('--csv', type=Path, help='CSV file to write the scores to')
     add('--plot', type=Path, help='picture file for a chart of mean IoU by angle (extra `plots`)')
@@ -207,9 +244,7 @@ def _evaluate_options(add: _Add) -> None:
 
 def _evaluate(options: _Options) -> int:
     """Score methods on labelled ships, by angle, aspect ratio and class."""
-    settings = evaluation.Settings(
-        options.threshold, options.keep, options.bootstrap, options.seed
-    )
+    settings = evaluation.Settings(options.threshold, options.keep, options.bootstrap, options.seed)
     _warn_of_ends(options)
     chosen = rules.choose_rules(
         options.methods, options.q, options.f, options.s, options.q_bow, options.q_stern
@@ -237,28 +272,60 @@ def _calibrate_options(add: _Add) -> None:
     plan = calibration.DEFAULT_PLAN
     _add_labels(add, '*')
     add('--synthetic', action='store_true', help="the paper's synthetic hulls instead of labels")
-    add('--method', choices=rules.TUNABLE_METHODS, default=plan.method,
-        help='method to calibrate; default: %(default)s')
+    add(
+        '--method',
+        choices=rules.TUNABLE_METHODS,
+        default=plan.method,
+        help='method to calibrate; default: %(default)s',
+    )
     aims = '; '.join(f'{name}: {each.summary}' for name, each in calibration.OBJECTIVES.items())
-    add('--objective', choices=tuple(calibration.OBJECTIVES), default=plan.objective,
-        help=f'{aims}; default: %(default)s')
-    add('--grid', choices=tuple(GRIDS), default='paper',
-        help='settings to search; default: %(default)s')
-    add('--refine', action=argparse.BooleanOptionalAction, default=plan.refine,
-        help='refine the best setting of the grid (default); --no-refine is Algorithm 2')
-    add('--fit', choices=calibration.FITS, default=plan.fit,
+    add(
+        '--objective',
+        choices=tuple(calibration.OBJECTIVES),
+        default=plan.objective,
+        help=f'{aims}; default: %(default)s',
+    )
+    add(
+        '--grid',
+        choices=tuple(GRIDS),
+        default='paper',
+        help='settings to search; default: %(default)s',
+    )
+    add(
+        '--refine',
+        action=argparse.BooleanOptionalAction,
+        default=plan.refine,
+        help='refine the best setting of the grid (default); --no-refine is Algorithm 2',
+    )
+    add(
+        '--fit',
+        choices=calibration.FITS,
+        default=plan.fit,
         help='whether to fit f and s beside q: auto: if they gain '
-        f'{calibration.LEAST_GAIN:g} or more on held-out images; default: %(default)s')
-    _add_numbers(add, plan, {
-        'keep': 'objective coverage: share of the reference box that a box must contain',
-        'share': 'objective coverage: share of ships whose box must contain that much',
-        'seed': 'seed of all random splits',
-    })
-    add('--exchangeable', choices=('ships', 'images'), default='ships',
+        f'{calibration.LEAST_GAIN:g} or more on held-out images; default: %(default)s',
+    )
+    _add_numbers(
+        add,
+        plan,
+        {
+            'keep': 'objective coverage: share of the reference box that a box must contain',
+            'share': 'objective coverage: share of ships whose box must contain that much',
+            'seed': 'seed of all random splits',
+        },
+    )
+    add(
+        '--exchangeable',
+        choices=('ships', 'images'),
+        default='ships',
         help='objective coverage: what the guarantee assumes to be exchangeable; use images if '
-        'the ships of an image are alike; default: %(default)s')
-    add('--folds', type=int, default=5,
-        help='folds of the cross-validation by image, 0 for none; default: %(default)s')
+        'the ships of an image are alike; default: %(default)s',
+    )
+    add(
+        '--folds',
+        type=int,
+        default=5,
+        help='folds of the cross-validation by image, 0 for none; default: %(default)s',
+    )
     add('--per-class', action='store_true', help='try a rule for each class')
     add('--by-aspect', action='store_true', help='try a rule for each band of aspect ratio')
     add('-o', '--output', type=Path, help='parameter file to write')
@@ -288,8 +355,12 @@ def _calibrate(options: _Options) -> int:
         seed=options.seed,
     )
     outcome = cross_validation.run(
-        ships, plan, options.folds,
-        per_class=options.per_class, by_aspect=options.by_aspect, seed=options.seed,
+        ships,
+        plan,
+        options.folds,
+        per_class=options.per_class,
+        by_aspect=options.by_aspect,
+        seed=options.seed,
     )
     text = tables.outcome_text(outcome)
     print(text)
@@ -305,8 +376,13 @@ def _calibrate(options: _Options) -> int:
 def _report_options(add: _Add) -> None:
     _add_labels(add, '+')
     add('-o', '--output', type=Path, default=Path('out/report.html'), help='default: %(default)s')
-    add('--gallery', type=int, default=24, metavar='N',
-        help='maximum number of ships to draw, the worst first; default: %(default)s')
+    add(
+        '--gallery',
+        type=int,
+        default=24,
+        metavar='N',
+        help='maximum number of ships to draw, the worst first; default: %(default)s',
+    )
     _add_numbers(add, evaluation.DEFAULT_SETTINGS, {'seed': 'seed of all random numbers'})
 
 
@@ -323,8 +399,12 @@ def _report(options: _Options) -> int:
 
 
 def _chips_options(add: _Add) -> None:
-    add('labels', type=Path, nargs='?',
-        help='label file or folder with the images beside it; default: a synthetic harbour')
+    add(
+        'labels',
+        type=Path,
+        nargs='?',
+        help='label file or folder with the images beside it; default: a synthetic harbour',
+    )
     _add_numbers(add, CropSettings(), {'padding': 'fraction of the box to add on each side'})
     add('--picture', type=Path, help='picture file for the first image and the costs')
 
@@ -358,20 +438,39 @@ def _chips(options: _Options) -> int:
 def _bag_options(add: _Add) -> None:
     add('source', metavar='IN', type=Path, help='bag (rosbag2) or storage file of one to read')
     add('target', metavar='OUT', type=Path, help='bag to write')
-    add('--params-file', type=Path, metavar='FILE',
-        help='ROS parameter file of the node; default: the defaults of the node')
-    add('--node', metavar='NAME', default='',
-        help='full name of the node in FILE; default: obb_to_hbb in the namespace of the topic')
+    add(
+        '--params-file',
+        type=Path,
+        metavar='FILE',
+        help='ROS parameter file of the node; default: the defaults of the node',
+    )
+    add(
+        '--node',
+        metavar='NAME',
+        default='',
+        help='full name of the node in FILE; default: obb_to_hbb in the namespace of the topic',
+    )
     add('--topic', default='', help='topic of the detections; default: the only one there is')
-    add('--camera-info', metavar='TOPIC', default='',
-        help='topic that the image size is taken from; default: camera_info beside the detections')
+    add(
+        '--camera-info',
+        metavar='TOPIC',
+        default='',
+        help='topic that the image size is taken from; default: camera_info beside the detections',
+    )
     add('--replace', action='store_true', help='leave out the boxes and crop regions of IN')
     add('--storage', choices=('mcap', 'sqlite3'), default='', help='storage of OUT; default: as IN')
-    add('--compression', choices=('none', 'file', 'message', 'storage'), default='',
+    add(
+        '--compression',
+        choices=('none', 'file', 'message', 'storage'),
+        default='',
         help='what is compressed with zstd in OUT: nothing, the file as a whole, each message, or '
-        'the chunks of mcap; default: as IN')
-    add('--strict', action='store_true',
-        help='exit with 1 if anything was lost, unreadable or could not be converted')
+        'the chunks of mcap; default: as IN',
+    )
+    add(
+        '--strict',
+        action='store_true',
+        help='exit with 1 if anything was lost, unreadable or could not be converted',
+    )
 
 
 def _bag(options: _Options) -> int:
@@ -404,8 +503,13 @@ def _bag(options: _Options) -> int:
 def _gallery_options(add: _Add) -> None:
     add('outbox', type=Path, metavar='OUTBOX', help='outbox, or folder that received its files')
     add('-o', '--output', type=Path, default=Path('out/gallery.html'), help='default: %(default)s')
-    add('--limit', type=int, default=0, metavar='N',
-        help='maximum number of chips to show, the most valuable first; default: 0, all')
+    add(
+        '--limit',
+        type=int,
+        default=0,
+        metavar='N',
+        help='maximum number of chips to show, the most valuable first; default: 0, all',
+    )
 
 
 def _gallery(options: _Options) -> int:
@@ -430,31 +534,63 @@ def _gallery(options: _Options) -> int:
 _CHIPS_LISTED, _EXPORTED = 20, Path('out/chips')
 # Options of `obbhbb spool` that one action takes.
 _OF_ONE_ACTION = {
-    'limit': 'list', 'json': 'list', 'to': 'revalue', 'by': 'revalue', 'output': 'export',
+    'limit': 'list',
+    'json': 'list',
+    'to': 'revalue',
+    'by': 'revalue',
+    'output': 'export',
 }
 
 
 def _spool_options(add: _Add) -> None:
-    add('spool', type=Path, metavar='PATH',
-        help='folder of the spool; for export also a damaged catalogue, chips_*.sqlite3')
-    add('action', nargs='?', default='list', choices=tuple(SPOOL_ACTIONS),
+    add(
+        'spool',
+        type=Path,
+        metavar='PATH',
+        help='folder of the spool; for export also a damaged catalogue, chips_*.sqlite3',
+    )
+    add(
+        'action',
+        nargs='?',
+        default='list',
+        choices=tuple(SPOOL_ACTIONS),
         help=' '.join(f'{name}: {each.__doc__}' for name, each in SPOOL_ACTIONS.items())
-        + ' Default: %(default)s')
-    add('--class', dest='class_ids', nargs='+', default=(), metavar='CLASS',
-        help='only chips of these classes')
+        + ' Default: %(default)s',
+    )
+    add(
+        '--class',
+        dest='class_ids',
+        nargs='+',
+        default=(),
+        metavar='CLASS',
+        help='only chips of these classes',
+    )
     add('--id', dest='ids', nargs='+', default=(), metavar='ID', help='only these chips')
-    add('--min-value', type=float, default=-math.inf, metavar='V', help='only chips of this value '
-        'or more')
-    add('--max-value', type=float, default=math.inf, metavar='V', help='only chips of this value '
-        'or less')
+    add(
+        '--min-value',
+        type=float,
+        default=-math.inf,
+        metavar='V',
+        help='only chips of this value or more',
+    )
+    add(
+        '--max-value',
+        type=float,
+        default=math.inf,
+        metavar='V',
+        help='only chips of this value or less',
+    )
     add('--all', action='store_true', help='delete or revalue all chips, without a condition')
-    add('--limit', type=int, metavar='N',
-        help=f'list: maximum number of chips (0: all); default: {_CHIPS_LISTED}')
+    add(
+        '--limit',
+        type=int,
+        metavar='N',
+        help=f'list: maximum number of chips (0: all); default: {_CHIPS_LISTED}',
+    )
     add('--json', action='store_true', help='list: print JSON')
     add('--to', type=float, metavar='V', help='revalue: the new value')
     add('--by', type=float, metavar='F', help='revalue: factor on the value, 0 or more')
-    add('-o', '--output', type=Path,
-        help=f'export: folder to write to; default: {_EXPORTED}')
+    add('-o', '--output', type=Path, help=f'export: folder to write to; default: {_EXPORTED}')
 
 
 def _spool(options: _Options) -> int:
@@ -560,21 +696,37 @@ def _add_labels(add: _Add, count: str) -> None:
     """Add the options that select the ships to read."""
     add('labels', type=Path, nargs=count, metavar='LABELS', help='label files or folders')
     add('--format', help=f'{", ".join(FORMATS)}; default: detected')
-    add('--reference', type=Path, metavar='FILE',
-        help='labels with the reference boxes, matched by image and overlap')
-    add('--image-size', type=int, nargs=2, metavar=('W', 'H'),
-        help='size of every image, pixels, for normalised formats without images')
-    add('--bow', choices=BOWS, default='none',
+    add(
+        '--reference',
+        type=Path,
+        metavar='FILE',
+        help='labels with the reference boxes, matched by image and overlap',
+    )
+    add(
+        '--image-size',
+        type=int,
+        nargs=2,
+        metavar=('W', 'H'),
+        help='size of every image, pixels, for normalised formats without images',
+    )
+    add(
+        '--bow',
+        choices=BOWS,
+        default='none',
         help='where the bow is known: labels: as the labels say (head points of hrsc); first-edge: '
         'the first two corners of every box are its bow end; hull: the end of the hull with less '
-        'area; default: %(default)s')
+        'area; default: %(default)s',
+    )
 
 
 def _add_ends(add: _Add) -> None:
     """Add the options for hulls whose bow is known."""
     for end in ('bow', 'stern'):
-        add(f'--q-{end}', type=float,
-            help=f'shape exponent of the {end} where the bow is known, 1 to inf; default: q')
+        add(
+            f'--q-{end}',
+            type=float,
+            help=f'shape exponent of the {end} where the bow is known, 1 to inf; default: q',
+        )
 
 
 def _warn_of_ends(options: _Options) -> None:
@@ -600,8 +752,12 @@ def _read_ships(options: _Options) -> Ships:
 
     size = tuple(options.image_size) if options.image_size else None
     ships = read_ships(
-        options.labels, options.format,
-        reference=options.reference, image_size=size, bow=options.bow, on_error=report,
+        options.labels,
+        options.format,
+        reference=options.reference,
+        image_size=size,
+        bow=options.bow,
+        on_error=report,
     )
     if options.reference:
         found = int(ships.with_reference.sum())

@@ -64,13 +64,15 @@ def common_arguments() -> list[Any]:
         argument('respawn', 'true', 'start a node again when it ends by itself'),
         argument('respawn_delay', '1.0', 'seconds before that'),
         argument(
-            'state', '',
+            'state',
+            '',
             'folder in which each run of a node tells the next one how it ended; by default as the '
             'parameter files say',
         ),
         argument('large_messages', 'false', 'use the DDS profile for messages over 0.5 MB'),
         SetEnvironmentVariable(
-            'FASTRTPS_DEFAULT_PROFILES_FILE', f'{share}/config/fastdds_large.xml',
+            'FASTRTPS_DEFAULT_PROFILES_FILE',
+            f'{share}/config/fastdds_large.xml',
             condition=IfCondition(LaunchConfiguration('large_messages')),
         ),
     ]
@@ -91,6 +93,7 @@ def nodes(make: Any) -> Any:
     make : callable
         Called with a function from the name of an argument to its value; lists the nodes.
     """
+
     def at_launch(context: Any) -> list[Any]:
         return list(make(lambda name: LaunchConfiguration(name).perform(context)))
 

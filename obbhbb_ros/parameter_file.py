@@ -71,7 +71,8 @@ def _document(path: Path) -> Any:
             return super().compose_node(parent, index)
 
     Loader.add_implicit_resolver(
-        'tag:yaml.org,2002:float', re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$'),
+        'tag:yaml.org,2002:float',
+        re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$'),
         list('-+.0123456789'),
     )
     try:

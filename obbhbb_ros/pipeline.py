@@ -129,8 +129,10 @@ def answer(
     wants_sources, wants_regions = outputs.crop_sources.wanted(), outputs.crop_regions.wanted()
     outcome = Outcome(batch.counts, {})
     if image_size is None:
-        missed = {'no crop regions': wants_regions or wants_sources,
-                  'boxes are not clipped': wants_boxes and settings.clip_boxes}
+        missed = {
+            'no crop regions': wants_regions or wants_sources,
+            'boxes are not clipped': wants_boxes and settings.clip_boxes,
+        }
         if any(missed.values()):
             consequence = ', '.join(each for each in missed if missed[each])
             outcome = _without_image_size(batch.counts, consequence)
@@ -148,10 +150,13 @@ def answer(
 def _without_image_size(counts: Counter[str], consequence: str) -> Outcome:
     """Count a message that needs the size of the image, and say what follows."""
     counts['messages_without_image_size'] += 1
-    return Outcome(counts, {
-        'no image size': f'{consequence} without the size of the image: set image_width and '
-        'image_height, or publish camera_info'
-    })
+    return Outcome(
+        counts,
+        {
+            'no image size': f'{consequence} without the size of the image: set image_width and '
+            'image_height, or publish camera_info'
+        },
+    )
 
 
 class Batch:
@@ -292,9 +297,9 @@ class Batch:
         if None in settings.crop_rules:
             box_alone = np.array([rule is None for rule in settings.crop_rules])[self._rule_of]
             around[box_alone] = xyxy[box_alone]
-        return np.hstack((
-            np.minimum(xyxy[:, :2], around[:, :2]), np.maximum(xyxy[:, 2:], around[:, 2:])
-        ))
+        return np.hstack(
+            (np.minimum(xyxy[:, :2], around[:, :2]), np.maximum(xyxy[:, 2:], around[:, 2:]))
+        )
 
     def _plan(self, xyxy: FloatArray, image_size: tuple[int, int]) -> CropPlan:
         """Plan the crop regions of boxes."""

@@ -155,7 +155,8 @@ class ParameterTable(Generic[SettingsT]):
         """List all parameters by name, those of some classes included."""
         own = (
             replace(row, name=row.name.replace('<id>', class_id))
-            for class_id in class_ids for row in self.class_rows
+            for class_id in class_ids
+            for row in self.class_rows
         )
         return {row.name: row for row in (*self.rows, *own)}
 
@@ -215,58 +216,76 @@ class ParameterTable(Generic[SettingsT]):
 
 
 AUTOSTART = Parameter(
-    'autostart', True,
+    'autostart',
+    True,
     'Configure and activate the node at start. If false, a lifecycle manager does it.',
     read_only=True,
 )
 LOCK = Parameter(
-    'lock_parameters', False,
+    'lock_parameters',
+    False,
     'Refuse every parameter change after start. Anyone on the DDS domain can make one.',
     read_only=True,
 )
 INPUT_TIMEOUT = Parameter(
-    'input_timeout', 0.0,
+    'input_timeout',
+    0.0,
     'Seconds without input after which the diagnostics report ERROR, and after three times as long '
     'STALE (0: never).',
-    0.0, 1e6,
+    0.0,
+    1e6,
 )
 HARDWARE_ID = Parameter(
-    'hardware_id', '', "hardware_id in the diagnostics (empty: the node's full name).",
+    'hardware_id',
+    '',
+    "hardware_id in the diagnostics (empty: the node's full name).",
 )
 STATE_PATH = Parameter(
-    'state.path', '',
+    'state.path',
+    '',
     'File that tells the next run how this one ended, and its counters, as an absolute path; each '
     'node needs one of its own (empty: none).',
     read_only=True,
 )
 WATCHDOG = Parameter(
-    'watchdog_timeout', 0.0,
+    'watchdog_timeout',
+    0.0,
     'Seconds without a turn of the executor, 2 or more, after which the process ends with exit '
     'code 70, to be started again (0: never).',
-    0.0, 1e6, read_only=True,
+    0.0,
+    1e6,
+    read_only=True,
 )
 _INPUT_TYPE = Parameter(
-    'input_type', next(iter(INPUT_TYPES)),
+    'input_type',
+    next(iter(INPUT_TYPES)),
     'Message type of the input; the topic is '
-    + ', '.join(f'`{each.topic}` for {each.name}' for each in INPUT_TYPES.values()) + '.',
-    choices=tuple(INPUT_TYPES), read_only=True,
+    + ', '.join(f'`{each.topic}` for {each.name}' for each in INPUT_TYPES.values())
+    + '.',
+    choices=tuple(INPUT_TYPES),
+    read_only=True,
 )
 _INPUT_COORDINATES = (
     Parameter(
         'angle_unit', 'rad', 'Unit of bbox.center.theta in the input.', choices=('rad', 'deg')
     ),
     Parameter(
-        'input_width', 0,
+        'input_width',
+        0,
         "Width of the network's input, pixels, if detections are in its coordinates.",
-        0, IMAGE_SIZE_LIMIT,
+        0,
+        IMAGE_SIZE_LIMIT,
     ),
     Parameter(
-        'input_height', 0,
+        'input_height',
+        0,
         "Height of the network's input, pixels, if detections are in its coordinates.",
-        0, IMAGE_SIZE_LIMIT,
+        0,
+        IMAGE_SIZE_LIMIT,
     ),
     Parameter(
-        'input_fit', 'none',
+        'input_fit',
+        'none',
         'How the image was fitted to the input of the network: not at all, stretched, or '
         'scaled with equal margins on two sides.',
         choices=FITS,
@@ -391,10 +410,12 @@ def _crop_rules(qs: Sequence[float]) -> tuple[HullRule | None, ...]:
 def _caps(values: Mapping[str, Any]) -> Caps:
     """Turn the caps into pixels."""
     metres_per_pixel = values['ground_sample_distance'] or 1.0
-    return Caps(*(
-        values[name] / metres_per_pixel if values[name] else None
-        for name in ('max_length', 'max_width')
-    ))
+    return Caps(
+        *(
+            values[name] / metres_per_pixel if values[name] else None
+            for name in ('max_length', 'max_width')
+        )
+    )
 
 
 def _group(group: Any, values: Mapping[str, Any], prefix: str) -> Any:
@@ -417,7 +438,8 @@ OBB_TO_HBB = ParameterTable(
         _INPUT_TYPE,
         Parameter('method', HullRule.method, 'Conversion rule.', choices=ONBOARD_METHODS),
         Parameter(
-            'q', HullRule.q,
+            'q',
+            HullRule.q,
             'Shape exponent of the hull: 1 is a rhombus, 2 an ellipse, .inf the rectangle.',
             *Q_RANGE,
         ),
@@ -428,114 +450,157 @@ OBB_TO_HBB = ParameterTable(
             's', HullRule.s, 'Shrink factor on the half-extents of the box, above 0.', *S_RANGE
         ),
         Parameter(
-            'heading', 'none',
+            'heading',
+            'none',
             'theta: the angles of the input point to the bow, full circle, and q_bow and q_stern '
             'shape the two ends of the hull.',
             choices=('none', 'theta'),
         ),
         Parameter(
-            'q_bow', 0.0,
+            'q_bow',
+            0.0,
             'Shape exponent of the end with the bow, 1 or more (0: q). Only with heading.',
-            0.0, Q_RANGE[1],
+            0.0,
+            Q_RANGE[1],
         ),
         Parameter(
-            'q_stern', 0.0,
+            'q_stern',
+            0.0,
             'Shape exponent of the other end, 1 or more (0: q). Only with heading.',
-            0.0, Q_RANGE[1],
+            0.0,
+            Q_RANGE[1],
         ),
         Parameter(
-            'max_length', 0.0,
+            'max_length',
+            0.0,
             'Maximum of the longer side of a box, pixels, or metres with ground_sample_distance '
             '(0: unlimited).',
-            0.0, math.inf,
+            0.0,
+            math.inf,
         ),
         Parameter(
-            'max_width', 0.0,
+            'max_width',
+            0.0,
             'Maximum of the shorter side of a box, pixels, or metres with ground_sample_distance '
             '(0: unlimited).',
-            0.0, math.inf,
+            0.0,
+            math.inf,
         ),
         Parameter(
-            'ground_sample_distance', 0.0,
-            'Metres per pixel; if above 0, max_length and max_width are in metres.', 0.0, 1e6,
+            'ground_sample_distance',
+            0.0,
+            'Metres per pixel; if above 0, max_length and max_width are in metres.',
+            0.0,
+            1e6,
         ),
         Parameter(
-            'class_ids', [''],
+            'class_ids',
+            [''],
             f'Classes with parameters of their own, under classes.<id>, {MOST_CLASSES} at most; '
             'empty strings are ignored.',
         ),
         Parameter(
-            'image_width', 0,
-            'Width of the image, pixels (0: taken from `camera_info`).', 0, IMAGE_SIZE_LIMIT,
+            'image_width',
+            0,
+            'Width of the image, pixels (0: taken from `camera_info`).',
+            0,
+            IMAGE_SIZE_LIMIT,
         ),
         Parameter(
-            'image_height', 0,
-            'Height of the image, pixels (0: taken from `camera_info`).', 0, IMAGE_SIZE_LIMIT,
+            'image_height',
+            0,
+            'Height of the image, pixels (0: taken from `camera_info`).',
+            0,
+            IMAGE_SIZE_LIMIT,
         ),
         *_INPUT_COORDINATES,
         Parameter(
-            'clip_boxes', False,
+            'clip_boxes',
+            False,
             'Clip boxes to the image; those outside cannot be converted, see invalid_policy.',
         ),
         Parameter(
-            'invalid_policy', 'drop',
+            'invalid_policy',
+            'drop',
             'Detections that cannot be converted are dropped, or kept unchanged.',
             choices=('drop', 'keep'),
         ),
         Parameter(
-            'crop.q', 5.0,
+            'crop.q',
+            5.0,
             'Crop regions also enclose the superellipse of this shape exponent, 1 or more, so that '
             'the hull is kept (0: the box alone).',
-            0.0, Q_RANGE[1],
+            0.0,
+            Q_RANGE[1],
         ),
         Parameter(
-            'crop.min_score', 0.0, 'Minimum score of a detection with a crop region (0: any).',
-            0.0, 1e6,
+            'crop.min_score',
+            0.0,
+            'Minimum score of a detection with a crop region (0: any).',
+            0.0,
+            1e6,
         ),
         Parameter(
-            'crop.padding', 0.0,
+            'crop.padding',
+            0.0,
             'Margin on each side of a crop region, as a fraction of the box along that axis.',
-            0.0, 100.0,
+            0.0,
+            100.0,
         ),
         Parameter(
-            'crop.padding_px', 0.0,
+            'crop.padding_px',
+            0.0,
             'Margin on each side of a crop region, pixels, added to that of crop.padding.',
-            0.0, IMAGE_SIZE_LIMIT,
+            0.0,
+            IMAGE_SIZE_LIMIT,
         ),
         Parameter(
-            'crop.min_size', 0,
+            'crop.min_size',
+            0,
             'Minimum side of a crop region, pixels; smaller regions grow (0: none).',
-            0, IMAGE_SIZE_LIMIT,
+            0,
+            IMAGE_SIZE_LIMIT,
         ),
         Parameter(
-            'crop.max_size', 0,
+            'crop.max_size',
+            0,
             'Maximum side of a crop region, pixels; larger regions are cut (0: unlimited).',
-            0, IMAGE_SIZE_LIMIT,
+            0,
+            IMAGE_SIZE_LIMIT,
         ),
         Parameter(
-            'crop.multiple_of', 0,
+            'crop.multiple_of',
+            0,
             'Sides of crop regions are multiples of this, pixels, as the blocks of a codec are; '
             'except for a side as long as the image (0: any).',
-            0, IMAGE_SIZE_LIMIT,
+            0,
+            IMAGE_SIZE_LIMIT,
         ),
         Parameter(
-            'crop.merge_max_size', 0,
+            'crop.merge_max_size',
+            0,
             'Crop regions are merged where that saves pixels, up to this side, pixels '
             '(0: never merged).',
-            0, IMAGE_SIZE_LIMIT,
+            0,
+            IMAGE_SIZE_LIMIT,
         ),
         Parameter(
-            'crop.max_count', 0,
+            'crop.max_count',
+            0,
             'Maximum crop regions per message, most valuable first (0: unlimited).',
-            0, IMAGE_SIZE_LIMIT,
+            0,
+            IMAGE_SIZE_LIMIT,
         ),
         Parameter(
-            'crop.max_pixels', 0,
+            'crop.max_pixels',
+            0,
             'Maximum pixels in the crop regions of a message, most valuable first (0: unlimited).',
-            0, INT_LIMIT,
+            0,
+            INT_LIMIT,
         ),
         Parameter(
-            'crop.compare_outer', False,
+            'crop.compare_outer',
+            False,
             'Also plan the crops of the outer boxes, and report in the diagnostics how many '
             'pixels are saved against them.',
         ),
@@ -543,20 +608,31 @@ OBB_TO_HBB = ParameterTable(
     _settings,
     (
         Parameter(
-            'classes.<id>.method', '', 'Conversion rule for this class (empty: that of the node).',
+            'classes.<id>.method',
+            '',
+            'Conversion rule for this class (empty: that of the node).',
             choices=('', *ONBOARD_METHODS),
         ),
         Parameter(
-            'classes.<id>.q', 0.0,
-            'Shape exponent for this class, 1 or more (0: that of the node).', 0.0, Q_RANGE[1],
+            'classes.<id>.q',
+            0.0,
+            'Shape exponent for this class, 1 or more (0: that of the node).',
+            0.0,
+            Q_RANGE[1],
         ),
         Parameter(
-            'classes.<id>.q_bow', 0.0, 'q_bow for this class (0: that of the node).',
-            0.0, Q_RANGE[1],
+            'classes.<id>.q_bow',
+            0.0,
+            'q_bow for this class (0: that of the node).',
+            0.0,
+            Q_RANGE[1],
         ),
         Parameter(
-            'classes.<id>.q_stern', 0.0, 'q_stern for this class (0: that of the node).',
-            0.0, Q_RANGE[1],
+            'classes.<id>.q_stern',
+            0.0,
+            'q_stern for this class (0: that of the node).',
+            0.0,
+            Q_RANGE[1],
         ),
         Parameter(
             'classes.<id>.f', 0.0, 'Fullness for this class (0: that of the node).', *F_RANGE
@@ -565,17 +641,25 @@ OBB_TO_HBB = ParameterTable(
             'classes.<id>.s', 0.0, 'Shrink factor for this class (0: that of the node).', *S_RANGE
         ),
         Parameter(
-            'classes.<id>.crop_q', 0.0, 'crop.q for this class (0: that of the node).',
-            0.0, Q_RANGE[1],
+            'classes.<id>.crop_q',
+            0.0,
+            'crop.q for this class (0: that of the node).',
+            0.0,
+            Q_RANGE[1],
         ),
         Parameter(
-            'classes.<id>.min_score', 0.0, 'crop.min_score for this class (0: that of the node).',
-            0.0, 1e6,
+            'classes.<id>.min_score',
+            0.0,
+            'crop.min_score for this class (0: that of the node).',
+            0.0,
+            1e6,
         ),
         Parameter(
-            'classes.<id>.weight', 1.0,
+            'classes.<id>.weight',
+            1.0,
             'Factor on the scores of this class when crop regions are ranked (0: no regions).',
-            0.0, 1e6,
+            0.0,
+            1e6,
         ),
     ),
 )
@@ -599,7 +683,8 @@ def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
         codec=_group(CodecSettings, values, ''),
         budget=_group(BudgetSettings, values, 'budget.'),
         pairing=PairingLimits(
-            (values['cache.images'], values['cache.regions']), values['cache.max_age'],
+            (values['cache.images'], values['cache.regions']),
+            values['cache.max_age'],
             values['cache.slop'],
         ),
         spool_path=_folder(values, 'spool.path'),
@@ -609,17 +694,25 @@ def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
 
 LINK = (
     Parameter(
-        'budget.bytes_per_second', 0.0, 'Rate of the link, bytes per second (0: unlimited).',
-        0.0, _MOST_BYTES,
+        'budget.bytes_per_second',
+        0.0,
+        'Rate of the link, bytes per second (0: unlimited).',
+        0.0,
+        _MOST_BYTES,
     ),
     Parameter(
-        'budget.burst', 0.0,
+        'budget.burst',
+        0.0,
         'Maximum bytes sent at once after a pause (0: one second at the rate of the link).',
-        0.0, _MOST_BYTES,
+        0.0,
+        _MOST_BYTES,
     ),
     Parameter(
-        'budget.overhead', 0, 'Bytes that each chip costs the link besides its file.',
-        0, 1_000_000,
+        'budget.overhead',
+        0,
+        'Bytes that each chip costs the link besides its file.',
+        0,
+        1_000_000,
     ),
 )
 """Parameters of the link, in every node that sends something over it."""
@@ -632,56 +725,70 @@ CHIP_EXTRACTOR = ParameterTable(
         HARDWARE_ID,
         STATE_PATH,
         WATCHDOG,
+        Parameter('codec', CodecSettings.codec, 'File format of the chips.', choices=tuple(CODECS)),
         Parameter(
-            'codec', CodecSettings.codec, 'File format of the chips.', choices=tuple(CODECS)
-        ),
-        Parameter(
-            'quality', CodecSettings.quality,
+            'quality',
+            CodecSettings.quality,
             'Quality of jpeg and webp; for jpeg2000, percent of the size of the raw pixels.',
-            1, 100,
+            1,
+            100,
         ),
         Parameter(
-            'lossless', CodecSettings.lossless,
+            'lossless',
+            CodecSettings.lossless,
             'Lossless compression; for webp and jpeg2000. png always is lossless.',
         ),
         *LINK,
-        Parameter(
-            'budget.max_chips', 0, 'Maximum chips per image (0: unlimited).', 0, 1_000_000
-        ),
+        Parameter('budget.max_chips', 0, 'Maximum chips per image (0: unlimited).', 0, 1_000_000),
         Parameter('budget.max_bytes', 0, 'Maximum bytes per image (0: unlimited).', 0, INT_LIMIT),
         Parameter(
-            'budget.min_quality', 0,
+            'budget.min_quality',
+            0,
             'A chip that does not fit is encoded again, down to this quality (0: dropped at once).',
-            0, 100,
+            0,
+            100,
         ),
         Parameter(
-            'cache.images', IMAGES_KEPT,
-            'Maximum images that wait for their regions; the oldest is dropped first.', 1, 1000,
+            'cache.images',
+            IMAGES_KEPT,
+            'Maximum images that wait for their regions; the oldest is dropped first.',
+            1,
+            1000,
         ),
         Parameter(
-            'cache.regions', PLANS_KEPT,
+            'cache.regions',
+            PLANS_KEPT,
             'Maximum crop plans that wait for their image; the oldest is dropped first.',
-            1, 100_000,
+            1,
+            100_000,
         ),
         Parameter(
-            'cache.max_age', 2.0,
-            'How long images and crop plans wait for each other, seconds.', 0.0, 3600.0,
+            'cache.max_age',
+            2.0,
+            'How long images and crop plans wait for each other, seconds.',
+            0.0,
+            3600.0,
         ),
         Parameter(
-            'cache.slop', 0.0,
+            'cache.slop',
+            0.0,
             'Maximum difference between the stamps of an image and its crop plan, seconds.',
-            0.0, 3600.0,
+            0.0,
+            3600.0,
         ),
         Parameter(
-            'spool.path', '',
+            'spool.path',
+            '',
             'Folder in which every planned chip is stored for the node downlink (empty: none).',
             read_only=True,
         ),
         Parameter(
-            'spool.max_bytes', 1e9,
+            'spool.max_bytes',
+            1e9,
             'Maximum size of the spool, bytes; the least valuable chips are evicted first '
             '(0: unlimited).',
-            0.0, _MOST_BYTES,
+            0.0,
+            _MOST_BYTES,
         ),
     ),
     _chip_settings,
@@ -724,7 +831,8 @@ def _downlink_settings(values: Mapping[str, Any]) -> DownlinkSettings:
         always_in_contact=values['contact'] == 'always',
         release=ReleaseSettings(
             budget=BudgetSettings(
-                values['budget.bytes_per_second'], values['budget.burst'],
+                values['budget.bytes_per_second'],
+                values['budget.burst'],
                 values['budget.overhead'],
             ),
             levels=tuple(levels),
@@ -742,12 +850,14 @@ DOWNLINK = ParameterTable(
         STATE_PATH,
         WATCHDOG,
         Parameter(
-            'contact', 'always',
+            'contact',
+            'always',
             'When chips are released: always, or while the topic `contact` says so.',
             choices=('always', 'topic'),
         ),
         Parameter(
-            'acknowledge', 'release',
+            'acknowledge',
+            'release',
             'When a chip counts as delivered: on its release into the outbox, or on its removal '
             'from there.',
             choices=('release', 'removal'),
@@ -756,18 +866,19 @@ DOWNLINK = ParameterTable(
         Parameter(
             'spool.path', '', 'Folder in which chip_extractor stores the chips.', read_only=True
         ),
+        Parameter('outbox.path', '', 'Folder from which the bus takes the chips.', read_only=True),
         Parameter(
-            'outbox.path', '', 'Folder from which the bus takes the chips.', read_only=True
-        ),
-        Parameter(
-            'outbox.levels', [0.0],
+            'outbox.levels',
+            [0.0],
             'Value thresholds of the priority folders: a chip goes into the folder with the number '
             'of thresholds above its value, 0 for the most valuable.',
         ),
         Parameter(
-            'outbox.max_bytes', 1e9,
+            'outbox.max_bytes',
+            1e9,
             'Maximum bytes in the outbox; when it is full, chips wait in the spool (0: unlimited).',
-            0.0, _MOST_BYTES,
+            0.0,
+            _MOST_BYTES,
         ),
     ),
     _downlink_settings,
@@ -831,40 +942,58 @@ OVERLAY = ParameterTable(
         _INPUT_TYPE,
         *_INPUT_COORDINATES,
         Parameter(
-            'layers', list(LAYER_COLORS),
+            'layers',
+            list(LAYER_COLORS),
             'What is drawn, the first below the others; empty strings are ignored.',
         ),
         Parameter(
-            'labels', Style.labels,
+            'labels',
+            Style.labels,
             'Write class and score beside the detections, best score first, where there is room.',
         ),
         Parameter(
-            'scale', Style.scale,
-            'Size of the picture relative to the image; a small one suits a thin link.', 0.01, 1.0,
+            'scale',
+            Style.scale,
+            'Size of the picture relative to the image; a small one suits a thin link.',
+            0.01,
+            1.0,
         ),
         Parameter('quality', Style.quality, 'Quality of the JPEG.', 1, 100),
         Parameter(
-            'line_width', Style.line_width,
-            'Line width, pixels of the picture (0: what suits its size).', 0, 1000,
+            'line_width',
+            Style.line_width,
+            'Line width, pixels of the picture (0: what suits its size).',
+            0,
+            1000,
         ),
         Parameter(
-            'text_size', Style.text_size,
-            'Text size, pixels of the picture (0: what suits its size).', 0, 500,
+            'text_size',
+            Style.text_size,
+            'Text size, pixels of the picture (0: what suits its size).',
+            0,
+            500,
         ),
         Parameter(
-            'max_wait', 0.5,
+            'max_wait',
+            0.5,
             'How long an image waits for its layers, seconds; then it is drawn with those that are '
             'there.',
-            0.0, 60.0,
+            0.0,
+            60.0,
         ),
         Parameter(
-            'max_age', 5.0,
+            'max_age',
+            5.0,
             'How long layers wait for their image, seconds; a large one takes a while to arrive.',
-            0.0, 3600.0,
+            0.0,
+            3600.0,
         ),
         Parameter(
-            'max_images', IMAGES_KEPT,
-            'Maximum images that wait for their layers; the oldest is dropped first.', 1, 1000,
+            'max_images',
+            IMAGES_KEPT,
+            'Maximum images that wait for their layers; the oldest is dropped first.',
+            1,
+            1000,
         ),
         *(
             Parameter(f'color.{layer}', color, f'Colour of {layer.replace("_", " ")}, #rrggbb.')

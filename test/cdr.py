@@ -90,14 +90,20 @@ STAMP = st.tuples(st.integers(-(2**31), 2**31 - 1), st.integers(0, 2**32 - 1))
 NUMBER = st.floats(-1e9, 1e9)
 HYPOTHESES = st.builds(Hypothesis, class_id=TEXT, score=st.one_of(NUMBER, st.just(float('nan'))))
 DETECTIONS = st.builds(
-    Detection, stamp=STAMP, frame_id=TEXT, results=st.lists(HYPOTHESES, max_size=5).map(tuple),
-    bbox=st.tuples(NUMBER, NUMBER, NUMBER, NUMBER, NUMBER), id=TEXT,
+    Detection,
+    stamp=STAMP,
+    frame_id=TEXT,
+    results=st.lists(HYPOTHESES, max_size=5).map(tuple),
+    bbox=st.tuples(NUMBER, NUMBER, NUMBER, NUMBER, NUMBER),
+    id=TEXT,
 )
 # A few kinds of detection, repeated and mixed: what a detector sends.
 REPEATED = st.lists(DETECTIONS, min_size=1, max_size=3).flatmap(
     lambda kinds: st.lists(st.sampled_from(kinds), max_size=60)
 )
 MESSAGES = st.builds(
-    Message, stamp=STAMP, frame_id=TEXT,
+    Message,
+    stamp=STAMP,
+    frame_id=TEXT,
     detections=st.one_of(st.lists(DETECTIONS, max_size=6), REPEATED).map(tuple),
 )

@@ -67,7 +67,9 @@ class Crashing(Converter):
         self._starts += 1
         self._started = time.time()
         self.process = NodeProcess(
-            self._command, self._folder / f'{self._starts}.log', namespace=self.namespace,
+            self._command,
+            self._folder / f'{self._starts}.log',
+            namespace=self.namespace,
             parameters={'state.path': self.state_file, 'watchdog_timeout': 2.0},
         )
 

@@ -223,9 +223,7 @@ class Peer(Closing):
         while (left := moment - time.monotonic()) > 0.0:
             self.spin(left)
 
-    def spin_until(
-        self, condition: Callable[[], Any], what: str, timeout: float = TIMEOUT
-    ) -> None:
+    def spin_until(self, condition: Callable[[], Any], what: str, timeout: float = TIMEOUT) -> None:
         deadline = time.monotonic() + timeout
         while not condition():
             if time.monotonic() > deadline:
@@ -316,7 +314,8 @@ class Node(Closing):
         """Wait for a line of the log that holds all of the texts, and give it."""
         return self.wait_for(
             lambda: (
-                line for line in self.process.log.splitlines()
+                line
+                for line in self.process.log.splitlines()
                 if all(text in line for text in texts)
             ),
             f'{texts} in the log',
@@ -587,7 +586,8 @@ class ChipNode(Node):
         """Tell whether diagnostics have said something at level WARN."""
         return any(
             text in status.message and status.level == DiagnosticStatus.WARN
-            for array in self._diagnostics for status in array.status
+            for array in self._diagnostics
+            for status in array.status
         )
 
 
@@ -700,7 +700,9 @@ def unexplained(keys: Iterable[str], page: str) -> list[str]:
     text = (DOC / page).read_text(encoding='utf-8').partition('<!-- keys of /diagnostics -->')[2]
     table = text.lstrip().partition('\n\n')[0]
     known = [
-        re.escape(key).replace('<name>', '.+').replace('<reason>', '[a-z_]+')
+        re.escape(key)
+        .replace('<name>', '.+')
+        .replace('<reason>', '[a-z_]+')
         .replace('<layer>', '[a-z_]+')
         for key in re.findall(r'^\| `([^`]+)`', table, re.MULTILINE)
     ]

@@ -97,9 +97,9 @@ class Chain(ExitStack):
 
     @staticmethod
     def _make_plan() -> Any:
-        plan = detections([
-            (8 + 12 * (i % 20), 8 + 12 * (i // 20), 12, 12, 0.0) for i in range(CHIPS)
-        ])
+        plan = detections(
+            [(8 + 12 * (i % 20), 8 + 12 * (i // 20), 12, 12, 0.0) for i in range(CHIPS)]
+        )
         for i, detection in enumerate(plan.detections):
             detection.results[0].hypothesis.score = i / CHIPS
         return plan
@@ -107,13 +107,15 @@ class Chain(ExitStack):
     def start(self, name: str) -> None:
         parameters = {'spool.path': self._folder / 'spool'}
         parameters |= (
-            {'codec': 'png', 'spool.max_bytes': 3e6} if name == 'chip_extractor' else
-            {'outbox.path': self._folder / 'outbox', 'acknowledge': 'removal',
-             'outbox.max_bytes': 300_000.0}
+            {'codec': 'png', 'spool.max_bytes': 3e6}
+            if name == 'chip_extractor'
+            else {
+                'outbox.path': self._folder / 'outbox',
+                'acknowledge': 'removal',
+                'outbox.max_bytes': 300_000.0,
+            }
         )
-        self.nodes[name] = self._site.start(
-            name, namespace=self._namespace, parameters=parameters
-        )
+        self.nodes[name] = self._site.start(name, namespace=self._namespace, parameters=parameters)
 
     def send(self) -> None:
         """Send an image and its plan."""
@@ -155,9 +157,7 @@ class Chain(ExitStack):
 
     def drain(self) -> Status:
         """Stop the load, and wait until everything is delivered."""
-        return self._wait(
-            lambda status: not (status.waiting or status.in_outbox or status.in_work)
-        )
+        return self._wait(lambda status: not (status.waiting or status.in_outbox or status.in_work))
 
     def _wait(self, condition: Callable[[Status], Any]) -> Status:
         deadline = time.monotonic() + 120.0

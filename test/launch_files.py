@@ -135,12 +135,16 @@ def _by_launch(file: Path, given: Mapping[str, str], folder: Path) -> dict[str, 
             (programs / each.name).chmod(0o755)
     prefixes = [str(folder), *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
     environment = {name: value for name, value in os.environ.items() if name != PROFILE} | {
-        'AMENT_PREFIX_PATH': os.pathsep.join(filter(None, prefixes)), 'ROS_LOG_DIR': str(folder),
+        'AMENT_PREFIX_PATH': os.pathsep.join(filter(None, prefixes)),
+        'ROS_LOG_DIR': str(folder),
     }
     with (folder / 'log').open('w') as log:
         process = subprocess.Popen(
             [sys.executable, '-c', LAUNCH, file, folder, json.dumps(given)],
-            env=environment, stdout=log, stderr=log, cwd=folder,
+            env=environment,
+            stdout=log,
+            stderr=log,
+            cwd=folder,
         )
         try:
             # Without respawn it ends by itself.
@@ -169,12 +173,12 @@ def _settled(folder: Path) -> float:
 
 # Stand-ins ------------------------------------------------------------------------------------
 
+
 class Configuration(str):
     """The value of an argument."""
 
     def perform(self, context: object) -> str:
         return str(self)
-
 
 
 def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[str, Any]:
@@ -199,9 +203,17 @@ def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[st
         return lambda: environment.update({name: value} if condition else {})
 
     def node(
-        *, package: str, executable: str, name: str, namespace: str, parameters: list[Any],
-        remappings: list[tuple[str, str]], output: str, ros_arguments: Sequence[str],
-        respawn: bool, respawn_delay: float,
+        *,
+        package: str,
+        executable: str,
+        name: str,
+        namespace: str,
+        parameters: list[Any],
+        remappings: list[tuple[str, str]],
+        output: str,
+        ros_arguments: Sequence[str],
+        respawn: bool,
+        respawn_delay: float,
     ) -> Callable[[], None]:
         assert (package, output) == ('obbhbb_ros', 'screen')
         arguments = [*ros_arguments, '-r', f'__node:={name}']
@@ -212,8 +224,12 @@ def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[st
         for old, new in remappings:
             arguments += ['-r', f'{old}:={new}']
         assert respawn_delay >= 0.0
-        own = {name: value for each in parameters if isinstance(each, dict)
-               for name, value in each.items()}
+        own = {
+            name: value
+            for each in parameters
+            if isinstance(each, dict)
+            for name, value in each.items()
+        }
         return lambda: started.append(
             (executable, arguments, environment.get(PROFILE), own, respawn)
         )
@@ -221,7 +237,8 @@ def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[st
     modules = {
         'launch': {'LaunchDescription': list},
         'launch.actions': {
-            'DeclareLaunchArgument': declare, 'SetEnvironmentVariable': set_variable,
+            'DeclareLaunchArgument': declare,
+            'SetEnvironmentVariable': set_variable,
             'LogInfo': lambda msg: lambda: said.append(msg),
             'OpaqueFunction': lambda function: lambda: [action() for action in function(None)],
         },

@@ -50,10 +50,14 @@ def make_spool(folder: Path, count: int = 24) -> None:
     """Fill a spool with the same chips."""
     spool = Spool(folder, print, 'writer')
     chips = list(islice((each for frame in range(count) for each in _chips_of(frame)), count))
-    spool.store(spool.plan(count), [
-        NewChip(facts['value'], facts['class_id'], tuple(facts['stamp'].values()), facts, data)
-        for facts, data in chips
-    ], {})
+    spool.store(
+        spool.plan(count),
+        [
+            NewChip(facts['value'], facts['class_id'], tuple(facts['stamp'].values()), facts, data)
+            for facts, data in chips
+        ],
+        {},
+    )
     spool.close()
 
 
@@ -84,25 +88,29 @@ def _chips_of(
         (x0, y0, x1, y1), first = region.tolist(), rows[0]
         chip = encode(pixels[y0:y1, x0:x1], settings)
         second, nanosecond = FIRST_STAMP + 5 * frame, 123456789
-        shape = *boxes.center[:, first], *(
-            each[first] for each in (boxes.length, boxes.width, boxes.theta)
+        shape = (
+            *boxes.center[:, first],
+            *(each[first] for each in (boxes.length, boxes.width, boxes.theta)),
         )
-        yield {
-            'id': f'{second}_{nanosecond}_3fa9c2_{number}',
-            'stamp': {'sec': second, 'nanosec': nanosecond},
-            'frame_id': 'camera',
-            'roi': [x0, y0, x1 - x0, y1 - y0],
-            'image_size': list(labels.size),
-            'class_id': labels.class_ids[first],
-            'score': float(scores[first]),
-            'value': float(scores[rows].sum()),
-            'detection_ids': [labels.ids[row] for row in rows],
-            'obb': [float(number) for number in shape],
-            'codec': codec,
-            'bytes': len(chip),
-            'sha256': sha256(chip).hexdigest(),
-            'camera_matrix': None,
-        }, chip
+        yield (
+            {
+                'id': f'{second}_{nanosecond}_3fa9c2_{number}',
+                'stamp': {'sec': second, 'nanosec': nanosecond},
+                'frame_id': 'camera',
+                'roi': [x0, y0, x1 - x0, y1 - y0],
+                'image_size': list(labels.size),
+                'class_id': labels.class_ids[first],
+                'score': float(scores[first]),
+                'value': float(scores[rows].sum()),
+                'detection_ids': [labels.ids[row] for row in rows],
+                'obb': [float(number) for number in shape],
+                'codec': codec,
+                'bytes': len(chip),
+                'sha256': sha256(chip).hexdigest(),
+                'camera_matrix': None,
+            },
+            chip,
+        )
 
 
 @cache

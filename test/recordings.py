@@ -48,8 +48,15 @@ STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 
 _NEVER = QosTime(9223372036, 854775807)
 LATCHED = Qos(
-    QosHistory.KEEP_LAST, 3, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, _NEVER,
-    _NEVER, QosLiveliness.AUTOMATIC, _NEVER, False,
+    QosHistory.KEEP_LAST,
+    3,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    _NEVER,
+    _NEVER,
+    QosLiveliness.AUTOMATIC,
+    _NEVER,
+    False,
 )
 
 
@@ -119,19 +126,29 @@ def detections(kind: str, rows: Any, stamp: int = 1, little_endian: bool = True)
     """Write rows of centre, size, angle as a message; one of a single polygon has the first."""
     corners = OrientedBoxes.from_xywhr(rows).corners.tolist()
     if kind == 'Detection2DArray':
-        made = build(kind, header=header(stamp), detections=[
-            _detection(row, str(i), stamp) for i, row in enumerate(rows)
-        ])
+        made = build(
+            kind,
+            header=header(stamp),
+            detections=[_detection(row, str(i), stamp) for i, row in enumerate(rows)],
+        )
     elif kind == 'DetectionArray':
-        made = build(kind, header=header(stamp), detections=[
-            _yolo_detection(row, str(i), stamp) for i, row in enumerate(rows)
-        ])
+        made = build(
+            kind,
+            header=header(stamp),
+            detections=[_yolo_detection(row, str(i), stamp) for i, row in enumerate(rows)],
+        )
     elif kind == 'Polygon2DCollection':
-        made = build(kind, header=header(stamp), polygons=[
-            build('polygon_msgs/msg/Polygon2D', points=[
-                build('polygon_msgs/msg/Point2D', x=x, y=y) for x, y in each
-            ]) for each in corners
-        ])
+        made = build(
+            kind,
+            header=header(stamp),
+            polygons=[
+                build(
+                    'polygon_msgs/msg/Polygon2D',
+                    points=[build('polygon_msgs/msg/Point2D', x=x, y=y) for x, y in each],
+                )
+                for each in corners
+            ],
+        )
     else:
         points = [build('geometry_msgs/msg/Point32', x=x, y=y) for x, y in corners[0]]
         polygon = build('geometry_msgs/msg/Polygon', points=points)
@@ -146,11 +163,11 @@ def _detection(row: Sequence[float], name: str, stamp: int) -> Any:
     )
     hypothesis = build('vision_msgs/msg/ObjectHypothesis', class_id='ship', score=0.5)
     return build(
-        'vision_msgs/msg/Detection2D', header=header(stamp), id=name,
+        'vision_msgs/msg/Detection2D',
+        header=header(stamp),
+        id=name,
         results=[build('vision_msgs/msg/ObjectHypothesisWithPose', hypothesis=hypothesis)],
-        bbox=build(
-            'vision_msgs/msg/BoundingBox2D', center=center, size_x=width, size_y=height
-        ),
+        bbox=build('vision_msgs/msg/BoundingBox2D', center=center, size_x=width, size_y=height),
     )
 
 
@@ -161,7 +178,10 @@ def _yolo_detection(row: Sequence[float], name: str, stamp: int) -> Any:
     )
     size = build('yolo_msgs/msg/Vector2', x=width, y=height)
     return build(
-        'yolo_msgs/msg/Detection', class_name='ship', score=0.5, id=name,
+        'yolo_msgs/msg/Detection',
+        class_name='ship',
+        score=0.5,
+        id=name,
         bbox=build('yolo_msgs/msg/BoundingBox2D', center=center, size=size),
     )
 

@@ -57,9 +57,10 @@ class Reference:
             )
         best = [best_hypothesis(each) for each in self._message.detections]
         self._scores = np.array([np.nan if each is None else each.score for each in best])
-        self._rule_of = np.array([
-            settings.rule_of_class.get('' if each is None else each.class_id, 0) for each in best
-        ], np.intp)
+        self._rule_of = np.array(
+            [settings.rule_of_class.get('' if each is None else each.class_id, 0) for each in best],
+            np.intp,
+        )
         self._image_size = image_size
         self._center, self._extents = centers_and_extents(
             self._boxes, settings.rules, self._rule_of, settings.caps
@@ -163,8 +164,13 @@ def serialized(message: Detection2DArray) -> bytes:
     def pose_of(result: Any) -> tuple[float, ...]:
         position, orientation = result.pose.pose.position, result.pose.pose.orientation
         return (
-            position.x, position.y, position.z,
-            orientation.x, orientation.y, orientation.z, orientation.w,
+            position.x,
+            position.y,
+            position.z,
+            orientation.x,
+            orientation.y,
+            orientation.z,
+            orientation.w,
             *result.pose.covariance.tolist(),
         )
 
@@ -175,9 +181,14 @@ def serialized(message: Detection2DArray) -> bytes:
             Hypothesis(result.hypothesis.class_id, result.hypothesis.score, pose_of(result))
             for result in each.results
         )
-        detections.append(Detection(
-            stamp_of(each.header), each.header.frame_id, results, (x, y, theta, width, height),
-            each.id,
-        ))
+        detections.append(
+            Detection(
+                stamp_of(each.header),
+                each.header.frame_id,
+                results,
+                (x, y, theta, width, height),
+                each.id,
+            )
+        )
     header = message.header
     return encode(Message(stamp_of(header), header.frame_id, tuple(detections)))

@@ -34,12 +34,14 @@ FloatArray = NDArray[np.float64]
 def fleet(count: int, seed: int = 1) -> FloatArray:
     """Make up ships as rows of centre, size and angle."""
     random = np.random.default_rng(seed)
-    return np.column_stack((
-        random.uniform(0.0, 1000.0, (count, 2)),
-        random.uniform(20.0, 200.0, count),
-        random.uniform(5.0, 60.0, count),
-        random.uniform(-7.0, 7.0, count),
-    ))
+    return np.column_stack(
+        (
+            random.uniform(0.0, 1000.0, (count, 2)),
+            random.uniform(20.0, 200.0, count),
+            random.uniform(5.0, 60.0, count),
+            random.uniform(-7.0, 7.0, count),
+        )
+    )
 
 
 def detection(
@@ -70,7 +72,9 @@ def detector_message(count: int, side: int = 4096) -> bytes:
     array = Detection2DArray(header=Header(frame_id='camera'))
     for i in range(count):
         row = (
-            *random.uniform(100, side - 96, 2), random.uniform(20, 200), random.uniform(5, 50),
+            *random.uniform(100, side - 96, 2),
+            random.uniform(20, 200),
+            random.uniform(5, 50),
             random.uniform(-3, 3),
         )
         class_id = ('ship', 'tug', 'tanker')[random.integers(3)]

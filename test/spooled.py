@@ -22,8 +22,13 @@ from obbhbb_ros.spool.spool import NewChip
 from obbhbb_ros.spool.spool import Spool
 
 FACTS = {
-    'frame_id': 'camera', 'roi': [10, 20, 30, 40], 'image_size': [640, 480], 'score': 0.5,
-    'detection_ids': ['7'], 'obb': [25.0, 40.0, 38.0, 12.0, 0.3], 'codec': 'jpeg',
+    'frame_id': 'camera',
+    'roi': [10, 20, 30, 40],
+    'image_size': [640, 480],
+    'score': 0.5,
+    'detection_ids': ['7'],
+    'obb': [25.0, 40.0, 38.0, 12.0, 0.3],
+    'codec': 'jpeg',
     'camera_matrix': None,
 }
 
@@ -32,7 +37,10 @@ RELEASE = ReleaseSettings()
 
 
 def new_chip(
-    value: float = 0.5, size: int = 300, stamp: tuple[int, int] = (5, 0), class_id: str = 'ship',
+    value: float = 0.5,
+    size: int = 300,
+    stamp: tuple[int, int] = (5, 0),
+    class_id: str = 'ship',
     **facts: Any,
 ) -> NewChip:
     """Make a chip whose file tells its value."""
@@ -40,9 +48,7 @@ def new_chip(
     return NewChip(value, class_id, stamp, FACTS | facts, data)
 
 
-def store(
-    spool: Spool, values: Sequence[float], size: int = 300, max_bytes: float = 0.0
-) -> bool:
+def store(spool: Spool, values: Sequence[float], size: int = 300, max_bytes: float = 0.0) -> bool:
     """Plan and store a frame."""
     chips = [new_chip(value, size) for value in values]
     return spool.store(spool.plan(len(values)), chips, {}, max_bytes)
@@ -59,13 +65,19 @@ class Clock:
 
 
 def releaser(
-    folder: Path, on_trouble: Callable[[str], object], clock: Clock | None = None,
-    settings: ReleaseSettings = RELEASE, contact: bool = True,
+    folder: Path,
+    on_trouble: Callable[[str], object],
+    clock: Clock | None = None,
+    settings: ReleaseSettings = RELEASE,
+    contact: bool = True,
 ) -> Releaser:
     """Make a releaser from `spool` to `outbox` in a folder."""
     made = Releaser(
-        Spool(folder / 'spool', on_trouble, 'releaser'), Outbox(folder / 'outbox'), settings,
-        on_trouble, clock or Clock(),
+        Spool(folder / 'spool', on_trouble, 'releaser'),
+        Outbox(folder / 'outbox'),
+        settings,
+        on_trouble,
+        clock or Clock(),
     )
     made.contact = contact
     return made

@@ -312,9 +312,7 @@ def _answers(
     found = []
     for data, camera_size in inputs:
         messages: dict[int, bytes] = {}
-        outputs = Outputs(
-            *(Output(partial(messages.__setitem__, i)) for i in range(len(OUTPUTS)))
-        )
+        outputs = Outputs(*(Output(partial(messages.__setitem__, i)) for i in range(len(OUTPUTS))))
         try:
             outcome = answer(data, INPUT_TYPES[input_type], settings, camera_size, outputs)
         except WireError as error:
@@ -328,9 +326,7 @@ def _answers(
 class _Replay:
     """The passage of the messages of one bag."""
 
-    def __init__(
-        self, reader: Reader, topics: Topics, settings: Settings, report: Report
-    ) -> None:
+    def __init__(self, reader: Reader, topics: Topics, settings: Settings, report: Report) -> None:
         self.tally = Tally(topics)
         self._reader = reader
         self._report = report
@@ -384,9 +380,7 @@ class _Replay:
         if count != (expected := self._reader.message_count):
             raise DamagedBagError(f'it has {count} messages, and says {expected}')
 
-    def _stretches(
-        self, messages: Iterable[tuple[Connection, int, bytes]]
-    ) -> Iterator[_Stretch]:
+    def _stretches(self, messages: Iterable[tuple[Connection, int, bytes]]) -> Iterator[_Stretch]:
         """Divide the messages into stretches of bounded size."""
         stretch, size = _Stretch([], []), 0
         for message in messages:

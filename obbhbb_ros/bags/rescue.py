@@ -78,13 +78,15 @@ def storage_files(source: Path) -> list[Path]:
     """List the storage files of a bag in their order."""
     found = source.iterdir() if source.is_dir() else [source]
     files = [
-        each for each in found
+        each
+        for each in found
         if each.is_file() and any(suffix in each.suffixes for suffix in _SUFFIXES)
     ]
     return sorted(
         (each for each in files if each.suffix in (*_SUFFIXES, '.zstd')),
-        key=lambda path: [int(part) if part.isdigit() else part
-                          for part in re.split(r'(\d+)', path.name)],
+        key=lambda path: [
+            int(part) if part.isdigit() else part for part in re.split(r'(\d+)', path.name)
+        ],
     )
 
 
@@ -169,11 +171,19 @@ def _added(writer: Writer, topic: _Topic, lose: Report) -> Connection | None:
     kinds = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
     kind = kinds.get(topic.encoding, MessageDefinitionFormat.NONE)
     try:
-        return add_topic(writer, Connection(
-            id=0, topic=topic.name, msgtype=topic.msgtype,
-            msgdef=MessageDefinition(kind, topic.definition), digest=topic.digest, msgcount=0,
-            ext=ConnectionExtRosbag2('cdr', parse_qos(topic.qos)), owner=None,
-        ))
+        return add_topic(
+            writer,
+            Connection(
+                id=0,
+                topic=topic.name,
+                msgtype=topic.msgtype,
+                msgdef=MessageDefinition(kind, topic.definition),
+                digest=topic.digest,
+                msgcount=0,
+                ext=ConnectionExtRosbag2('cdr', parse_qos(topic.qos)),
+                owner=None,
+            ),
+        )
     # Whatever a library says of broken bytes.
     except Exception as error:
         lose(f'the topic {topic.name} is lost: {_text(error)}')
@@ -226,7 +236,9 @@ def _mcap_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, byte
                     lose(f'{path.name}: a message at {record.log_time} is of no known topic')
                     continue
                 topic = _Topic(
-                    channel.topic, schema.name, schema.encoding,
+                    channel.topic,
+                    schema.name,
+                    schema.encoding,
                     schema.data.decode(errors='replace'),
                     channel.metadata.get('topic_type_hash', ''),
                     channel.metadata.get('offered_qos_profiles', ''),
@@ -362,8 +374,12 @@ def _sqlite_topics(base: sqlite3.Connection, name: str, lose: Report) -> dict[in
     for row in _rows(base, 'topics'):
         encoding, definition = definitions.get(row['type'], ('', ''))
         found[row['id']] = _Topic(
-            row['name'], row['type'], encoding, definition,
-            row.get('type_description_hash', ''), row.get('offered_qos_profiles', ''),
+            row['name'],
+            row['type'],
+            encoding,
+            definition,
+            row.get('type_description_hash', ''),
+            row.get('offered_qos_profiles', ''),
         )
     return found
 

@@ -43,8 +43,15 @@ _INPUT_TYPES = {f'{each.package}/msg/{each.name}': each for each in INPUT_TYPES.
 _FOREVER = QosTime(9223372036, 854775807)
 # As rosbag2 writes what the node offers.
 _QOS = Qos(
-    QosHistory.UNKNOWN, 0, QosReliability.RELIABLE, QosDurability.VOLATILE, _FOREVER, _FOREVER,
-    QosLiveliness.AUTOMATIC, _FOREVER, False,
+    QosHistory.UNKNOWN,
+    0,
+    QosReliability.RELIABLE,
+    QosDurability.VOLATILE,
+    _FOREVER,
+    _FOREVER,
+    QosLiveliness.AUTOMATIC,
+    _FOREVER,
+    False,
 )
 
 
@@ -71,9 +78,7 @@ class Topics:
     outputs: tuple[str, ...]
 
 
-def choose(
-    connections: Collection[Connection], topic: str = '', camera_info: str = ''
-) -> Topics:
+def choose(connections: Collection[Connection], topic: str = '', camera_info: str = '') -> Topics:
     """
     Find the topic of oriented detections.
 
@@ -97,7 +102,8 @@ def choose(
         If there is no such topic, or more than one; the message lists what there is.
     """
     possible = {
-        each.topic: _INPUT_TYPES[each.msgtype] for each in connections
+        each.topic: _INPUT_TYPES[each.msgtype]
+        for each in connections
         if each.msgtype in _INPUT_TYPES
     }
     if topic:
@@ -114,8 +120,10 @@ def choose(
         raise ValueError(f'{detections} cannot be converted: the boxes would have the same name')
     _check_camera_info(connections, camera_info)
     return Topics(
-        detections, possible[detections],
-        _absolute(camera_info) if camera_info else f'{namespace}/camera_info', outputs,
+        detections,
+        possible[detections],
+        _absolute(camera_info) if camera_info else f'{namespace}/camera_info',
+        outputs,
     )
 
 
@@ -124,9 +132,7 @@ def _absolute(topic: str) -> str:
     return '/' + topic.lstrip('/')
 
 
-def _choice(
-    connections: Collection[Connection], topic: str, candidates: Sequence[str]
-) -> str:
+def _choice(connections: Collection[Connection], topic: str, candidates: Sequence[str]) -> str:
     """Say why the input is not clear."""
     if candidates:
         return f'more than one topic can be converted, choose one by --topic: {_listed(candidates)}'
@@ -192,8 +198,12 @@ def add_live_topic(writer: Writer, topic: str, msgtype: str) -> Connection:
         definition = (folder / 'Detection2DArray.msg').read_text(encoding='utf-8')
         digest = OUTPUT_HASH
     return writer.add_connection(
-        topic, msgtype, typestore=get_typestore(Stores.ROS2_JAZZY),
-        msgdef=definition, rihs01=digest, offered_qos_profiles=[_QOS],
+        topic,
+        msgtype,
+        typestore=get_typestore(Stores.ROS2_JAZZY),
+        msgdef=definition,
+        rihs01=digest,
+        offered_qos_profiles=[_QOS],
     )
 
 

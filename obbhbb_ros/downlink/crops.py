@@ -320,9 +320,7 @@ def _pixels(corners: NDArray[np.int64]) -> NDArray[np.int64]:
     return width * height
 
 
-def _regions(
-    boxes: FloatArray, bounds: FloatArray, settings: CropSettings
-) -> NDArray[np.int64]:
+def _regions(boxes: FloatArray, bounds: FloatArray, settings: CropSettings) -> NDArray[np.int64]:
     """Pad, clip to the image, round outwards and fit to size; all (4, N), `bounds` (4, 1)."""
     if settings.padding or settings.padding_px:
         margin = settings.padding * (boxes[2:] - boxes[:2]) + settings.padding_px

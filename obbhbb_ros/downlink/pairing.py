@@ -75,7 +75,8 @@ class Pairing:
         self._on_jump_back = on_jump_back
         self._latest: list[Stamp] = [(0, 0), (0, 0)]
         self._waiting: tuple[OrderedDict[Stamp, tuple[float, Any]], ...] = (
-            OrderedDict(), OrderedDict()
+            OrderedDict(),
+            OrderedDict(),
         )
         self._paired: tuple[OrderedDict[Stamp, float], ...] = (OrderedDict(), OrderedDict())
 

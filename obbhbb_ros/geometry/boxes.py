@@ -127,9 +127,7 @@ class OrientedBoxes:
         return boxes
 
     @classmethod
-    def from_xywhr(
-        cls, xywhr: ArrayLike, bow: bool | NDArray[np.bool_] = False
-    ) -> OrientedBoxes:
+    def from_xywhr(cls, xywhr: ArrayLike, bow: bool | NDArray[np.bool_] = False) -> OrientedBoxes:
         """
         Create boxes from centre, size and angle.
 
@@ -179,9 +177,7 @@ class OrientedBoxes:
         >>> Defect(boxes.defects[1]).name
         'TOO_FEW_POINTS'
         """
-        rings = [
-            _as_array(polygon, f'polygons[{i}]', (2,)) for i, polygon in enumerate(polygons)
-        ]
+        rings = [_as_array(polygon, f'polygons[{i}]', (2,)) for i, polygon in enumerate(polygons)]
         defects = np.array([_ring_defect(ring) for ring in rings], np.uint8)
         corners = np.full((len(rings), 4, 2), np.nan)
         usable = defects == Defect.NONE
@@ -201,8 +197,12 @@ class OrientedBoxes:
     def take(self, rows: Any) -> OrientedBoxes:
         """Select boxes by any NumPy index of N rows: a slice, indices or a mask."""
         return OrientedBoxes(
-            self.center[:, rows], self.first[:, rows], self.second[:, rows], self.defects[rows],
-            self.regular, None if self.bow is None else self.bow[rows],
+            self.center[:, rows],
+            self.first[:, rows],
+            self.second[:, rows],
+            self.defects[rows],
+            self.regular,
+            None if self.bow is None else self.bow[rows],
         )
 
     @property
@@ -296,9 +296,7 @@ def _as_array(values: ArrayLike, name: str, row_shape: tuple[int, ...]) -> Float
     return array
 
 
-def _in_blocks(
-    array: FloatArray, boxes_of: Callable[[FloatArray], OrientedBoxes]
-) -> OrientedBoxes:
+def _in_blocks(array: FloatArray, boxes_of: Callable[[FloatArray], OrientedBoxes]) -> OrientedBoxes:
     """Create boxes block by block."""
     if len(array) <= BLOCK:
         return boxes_of(array)
@@ -435,5 +433,6 @@ def _oriented_envelopes(geometries: Any) -> Any:
         if len(geometries) == 1:
             return np.array([None])
     # The error does not say which geometry failed, so try them one by one.
-    return np.concatenate([_oriented_envelopes(geometries[i : i + 1])
-                           for i in range(len(geometries))])
+    return np.concatenate(
+        [_oriented_envelopes(geometries[i : i + 1]) for i in range(len(geometries))]
+    )

@@ -102,10 +102,14 @@ class InputFrame:
         center, ahead, aside = given.center, given.first, given.second
         with np.errstate(over='ignore', invalid='ignore'):
             # From the bow's end on.
-            corners = np.stack((
-                center + ahead - aside, center + ahead + aside,
-                center - ahead + aside, center - ahead - aside,
-            )).transpose(2, 0, 1)
+            corners = np.stack(
+                (
+                    center + ahead - aside,
+                    center + ahead + aside,
+                    center - ahead + aside,
+                    center - ahead - aside,
+                )
+            ).transpose(2, 0, 1)
         known_bow = False if given.bow is None else given.bow
         boxes = OrientedBoxes.from_corners(self.to_image(corners, image_size), known_bow)
         known = ~given.valid

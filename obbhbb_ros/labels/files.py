@@ -34,9 +34,12 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
         # A pipe can be read only once, and format detection reads the file before.
         raise ValueError(f'{path}: neither a regular file nor a folder')
     files = sorted(
-        each for each in path.iterdir()
-        if each.suffix.lower() in suffixes and each.is_file()
-        and not each.name.startswith('.') and each.name != CLASSES_FILE
+        each
+        for each in path.iterdir()
+        if each.suffix.lower() in suffixes
+        and each.is_file()
+        and not each.name.startswith('.')
+        and each.name != CLASSES_FILE
     )
     if not files:
         wanted = ', '.join(sorted(suffixes))

@@ -297,9 +297,7 @@ def box_format(path: Path, name: str | None, diagnosed: bool = False) -> Format:
     chosen = _format_to_write(path, name, able, 'axis-aligned boxes')
     if diagnosed and not chosen.holds_diagnostics:
         able = [each for each in able if each.holds_diagnostics]
-        raise ValueError(
-            f'label format {chosen.name!r} cannot hold diagnostics: use {names(able)}'
-        )
+        raise ValueError(f'label format {chosen.name!r} cannot hold diagnostics: use {names(able)}')
     return chosen
 
 

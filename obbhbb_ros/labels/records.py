@@ -127,7 +127,10 @@ class ImageLabels:
         """Check that all fields have the same number of boxes."""
         count = len(self.class_ids)
         wanted = {
-            'corners': (count, 4, 2), 'scores': (count,), 'reference': (count, 4), 'bow': (count,),
+            'corners': (count, 4, 2),
+            'scores': (count,),
+            'reference': (count, 4),
+            'bow': (count,),
         }
         for name, shape in wanted.items():
             values = getattr(self, name)
@@ -206,9 +209,7 @@ class ImageBoxes:
         """Go through the boxes, with the six diagnostics or with none."""
         names = () if self.diagnostics is None else DIAGNOSTICS
         columns = {name: getattr(self.diagnostics, name).tolist() for name in names}
-        rows = zip(
-            self.xyxy.tolist(), self.class_ids, self.ids, self.scores.tolist(), strict=True
-        )
+        rows = zip(self.xyxy.tolist(), self.class_ids, self.ids, self.scores.tolist(), strict=True)
         for index, row in enumerate(rows):
             yield BoxRow(*row, {name: _known(values[index]) for name, values in columns.items()})
 
@@ -280,9 +281,7 @@ class LabelFile:
         return (self.image(name, each) for name, each in boxes.items())
 
 
-def assemble(
-    image: str, boxes: Sequence[Box], size: ImageSize | None, source: Path
-) -> ImageLabels:
+def assemble(image: str, boxes: Sequence[Box], size: ImageSize | None, source: Path) -> ImageLabels:
     """Gather the N boxes of an image into arrays of N rows, 0 included."""
     return ImageLabels(
         image=image,

@@ -41,9 +41,13 @@ class Camera:
             # A text that is no UTF-8, for example.
             raise WireError(str(error)) from None
         ends = [
-            start + length * max(binning, 1) for start, length, binning in
-            zip((info.roi.x_offset, info.roi.y_offset), size, (info.binning_x, info.binning_y),
-                strict=True)
+            start + length * max(binning, 1)
+            for start, length, binning in zip(
+                (info.roi.x_offset, info.roi.y_offset),
+                size,
+                (info.binning_x, info.binning_y),
+                strict=True,
+            )
         ]
         if max(ends) > _FARTHEST:
             raise WireError(f'a region of interest up to {ends[0]}, {ends[1]}')
@@ -75,6 +79,9 @@ def region_of_interest(info: Any, region: Region) -> Any:
     x0, y0, x1, y1 = region
     across, down = max(info.binning_x, 1), max(info.binning_y, 1)
     return RegionOfInterest(
-        x_offset=info.roi.x_offset + x0 * across, y_offset=info.roi.y_offset + y0 * down,
-        width=(x1 - x0) * across, height=(y1 - y0) * down, do_rectify=info.roi.do_rectify,
+        x_offset=info.roi.x_offset + x0 * across,
+        y_offset=info.roi.y_offset + y0 * down,
+        width=(x1 - x0) * across,
+        height=(y1 - y0) * down,
+        do_rectify=info.roi.do_rectify,
     )

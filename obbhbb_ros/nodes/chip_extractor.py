@@ -103,7 +103,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(
-            'chip_extractor', CHIP_EXTRACTOR, ('images_received', 'chips_sent', 'bytes_sent'),
+            'chip_extractor',
+            CHIP_EXTRACTOR,
+            ('images_received', 'chips_sent', 'bytes_sent'),
             **kwargs,
         )
         self._pairing = Pairing(self._let_go, self._ran_back)
@@ -134,12 +136,13 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         # A large image travels in many pieces; one that is lost unnoticed would cost all of it. Its
         # pieces fill the middleware's buffers, which would cost the plan beside it.
         self._images_in = self._input(
-            Image, 'image', self._on_image,
-            reliability=ReliabilityPolicy.RELIABLE, depth=IMAGES_KEPT,
+            Image,
+            'image',
+            self._on_image,
+            reliability=ReliabilityPolicy.RELIABLE,
+            depth=IMAGES_KEPT,
         )
-        self._regions_in = self._input(
-            Detection2DArray, 'crop_regions', self._on_regions, **plans
-        )
+        self._regions_in = self._input(Detection2DArray, 'crop_regions', self._on_regions, **plans)
 
     def _forget(self) -> None:
         """Drop the images and plans that wait for each other."""
@@ -412,7 +415,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._warn(
             'image refused',
             f'no chips of the image on {self._images_in.topic_name} at stamp '
-            f'{_seconds(image.stamp)}: {error}'
+            f'{_seconds(image.stamp)}: {error}',
         )
 
     def _warn_of_failure(

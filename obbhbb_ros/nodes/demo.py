@@ -131,10 +131,12 @@ def boxes_by_method(labels: ImageLabels) -> dict[str, FloatArray]:
 
 def xyxy_of(message: Detection2DArray) -> FloatArray:
     """Read axis-aligned boxes from a message, (N, 4), pixels."""
-    rows = np.array([
-        (d.bbox.center.position.x, d.bbox.center.position.y, d.bbox.size_x, d.bbox.size_y)
-        for d in message.detections
-    ]).reshape(-1, 4)
+    rows = np.array(
+        [
+            (d.bbox.center.position.x, d.bbox.center.position.y, d.bbox.size_x, d.bbox.size_y)
+            for d in message.detections
+        ]
+    ).reshape(-1, 4)
     return np.hstack((rows[:, :2] - rows[:, 2:] / 2.0, rows[:, :2] + rows[:, 2:] / 2.0))
 
 
@@ -250,8 +252,11 @@ def _camera_info(header: Header, width: int, height: int) -> CameraInfo:
     """Describe a camera without distortion; viewers refuse one without a focal length."""
     f, x, y = _FOCAL_LENGTH, width / 2.0, height / 2.0
     return CameraInfo(
-        header=header, width=width, height=height,
-        distortion_model='plumb_bob', d=[0.0] * 5,
+        header=header,
+        width=width,
+        height=height,
+        distortion_model='plumb_bob',
+        d=[0.0] * 5,
         k=[f, 0.0, x, 0.0, f, y, 0.0, 0.0, 1.0],
         r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         p=[f, 0.0, x, 0.0, 0.0, f, y, 0.0, 0.0, 0.0, 1.0, 0.0],
@@ -288,11 +293,21 @@ class _Chain:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         for executable, arguments in self._nodes.items():
-            self._processes[executable] = subprocess.Popen([
-                sys.executable, '-m', 'obbhbb_ros.nodes', executable,
-                # Warnings of what is missing until all have found each other are no news.
-                '--ros-args', '--log-level', 'error', '-r', f'__ns:={self._namespace}', *arguments,
-            ])
+            self._processes[executable] = subprocess.Popen(
+                [
+                    sys.executable,
+                    '-m',
+                    'obbhbb_ros.nodes',
+                    executable,
+                    # Warnings of what is missing until all have found each other are no news.
+                    '--ros-args',
+                    '--log-level',
+                    'error',
+                    '-r',
+                    f'__ns:={self._namespace}',
+                    *arguments,
+                ]
+            )
         return self
 
     def __exit__(self, *_: object) -> None:

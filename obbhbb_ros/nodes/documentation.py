@@ -84,7 +84,10 @@ def markdown_table(table: Sequence[Parameter]) -> str:
     """Write the rows as a Markdown table."""
     rows = [
         (
-            f'`{spec.name}`', spec.type_name, f'`{yaml_value(spec.default)}`', spec.range_text,
+            f'`{spec.name}`',
+            spec.type_name,
+            f'`{yaml_value(spec.default)}`',
+            spec.range_text,
             spec.meaning + (' Only at start.' if spec.read_only else ''),
         )
         for spec in table
@@ -162,15 +165,18 @@ def documents(root: Path) -> dict[Path, str]:
         ),
         root / 'config' / 'paper.yaml': yaml_file(
             "obb_to_hbb: the paper's rule (Algorithm 1) with its best-found parameters.",
-            PAPER, OBB_TO_HBB.rows,
+            PAPER,
+            OBB_TO_HBB.rows,
         ),
         root / 'config' / 'chip_extractor.yaml': yaml_file(
             'chip_extractor: the default settings. Every parameter is here.',
-            {}, CHIP_EXTRACTOR.rows,
+            {},
+            CHIP_EXTRACTOR.rows,
         ),
         root / 'config' / 'downlink.yaml': yaml_file(
             'downlink: the default settings; set the two folders. Every parameter is here.',
-            {}, DOWNLINK.rows,
+            {},
+            DOWNLINK.rows,
         ),
         root / 'config' / 'overlay.yaml': yaml_file(
             'overlay: the default settings. Every parameter is here.', {}, OVERLAY.rows

@@ -52,7 +52,9 @@ class Worker:
         self.troubles: deque[str] = deque(maxlen=_MOST_TROUBLES)
         self._spool = Spool(Path(settings.spool_path), self.troubles.append, 'releaser')
         self.releaser = Releaser(
-            self._spool, Outbox(Path(settings.outbox_path)), settings.release,
+            self._spool,
+            Outbox(Path(settings.outbox_path)),
+            settings.release,
             self.troubles.append,
         )
         self._wake, self._is_stopping = threading.Event(), False
@@ -117,8 +119,12 @@ class Downlink(ManagedNode[DownlinkSettings]):
         """Subscribe to the contact, and start the thread that releases."""
         self._contact = False
         self._contact_in = self._input(
-            Bool, 'contact', self._on_contact, reliability=ReliabilityPolicy.RELIABLE,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL, depth=1,
+            Bool,
+            'contact',
+            self._on_contact,
+            reliability=ReliabilityPolicy.RELIABLE,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL,
+            depth=1,
         )
         settings = self._parameters_in_force.settings
         self._books = Spool(Path(settings.spool_path), self._warn_of_spool)

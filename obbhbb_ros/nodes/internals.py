@@ -74,8 +74,13 @@ class KeptWaitSet:
                 NumberOfEntities(*map(len, handles.values())),
             )
             self._wait_set = rclpy_implementation.WaitSet(
-                counts.num_subscriptions, counts.num_guard_conditions, counts.num_timers,
-                counts.num_clients, counts.num_services, counts.num_events, context,
+                counts.num_subscriptions,
+                counts.num_guard_conditions,
+                counts.num_timers,
+                counts.num_clients,
+                counts.num_services,
+                counts.num_events,
+                context,
             )
         except BaseException:
             self._stack.close()
@@ -148,5 +153,3 @@ def refuse_impossible_transitions(node: LifecycleNode, log: Callable[[str], obje
             return response
 
     service.callback = change_state
-
-

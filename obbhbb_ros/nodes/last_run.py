@@ -254,8 +254,11 @@ class RunRecord:
         why, asked = end_of(run, stacks, self._run.boot)
         self.last = {
             **{name: str(count) for name, count in run.counters.items()},
-            'pid': str(run.pid), 'started': run.started, 'written': run.written,
-            'state': run.state, 'ended': why,
+            'pid': str(run.pid),
+            'started': run.started,
+            'written': run.written,
+            'state': run.state,
+            'ended': why,
         }
         if not asked:
             self.stacks = stacks
@@ -276,8 +279,12 @@ class RunRecord:
                 return
             self._has_ended = bool(ended)
             run = asdict(self._run) | {
-                'written': _now(), 'restarts': self.restarts, 'state': self._state,
-                'ended': ended, 'asked': asked, 'counters': dict(self._counters),
+                'written': _now(),
+                'restarts': self.restarts,
+                'state': self._state,
+                'ended': ended,
+                'asked': asked,
+                'counters': dict(self._counters),
             }
             # The same name each time, so that kills leave no more than one.
             partial = self._path.with_name(f'.{self._path.name}')

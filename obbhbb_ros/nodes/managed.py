@@ -49,6 +49,7 @@ _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 # Who subscribes to the diagnostics has to discover a node that is back before it hears of it.
 _RESTART_REPORTS = 10
 
+
 def message_type(input_type: InputType) -> Any:
     """
     Return the message class of an input type.
@@ -115,8 +116,10 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         self._diagnostics_publisher: Any = None
         self._timer: Any = None
         self.record = RunRecord(
-            self.get_parameter(STATE_PATH.name).value, self.get_fully_qualified_name(),
-            self._monitor.counts, lambda text: self._warn(text, text),
+            self.get_parameter(STATE_PATH.name).value,
+            self.get_fully_qualified_name(),
+            self._monitor.counts,
+            lambda text: self._warn(text, text),
         )
         self.watchdog = Watchdog(
             self.get_parameter(WATCHDOG.name).value, self.record, self.get_logger().fatal
@@ -156,7 +159,8 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         """
         if self.get_parameter(AUTOSTART.name).value:
             for name, transition in (
-                ('configure', self.trigger_configure), ('activate', self.trigger_activate)
+                ('configure', self.trigger_configure),
+                ('activate', self.trigger_activate),
             ):
                 if transition() != TransitionCallbackReturn.SUCCESS:
                     raise StartError(f'{self.get_name()} failed to {name}; the log says why')
@@ -320,8 +324,10 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         """Warn of QoS overrides that belong to no topic, or name no policy that can be changed."""
         late = tuple(f'{_OVERRIDES}{topic}.' for topic in self._late_topics())
         unused = [
-            name for name in self._parameters_in_force.unknown
-            if name.startswith(_OVERRIDES) and not name.startswith(late)
+            name
+            for name in self._parameters_in_force.unknown
+            if name.startswith(_OVERRIDES)
+            and not name.startswith(late)
             and not self.has_parameter(name)
         ]
         if unused:

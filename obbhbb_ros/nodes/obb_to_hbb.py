@@ -51,14 +51,16 @@ class ObbToHbb(ManagedNode[Settings]):
     def _create_topics(self) -> None:
         """Create publishers and subscriptions."""
         self._input_type = INPUT_TYPES[self.get_parameter('input_type').value]
-        self._answers = Outputs(*(
-            Output(publisher.publish, publisher.get_subscription_count)
-            for publisher in (
-                self._output(Detection2DArray, 'boxes'),
-                self._output(Detection2DArray, 'crop_regions'),
-                self._output(Detection2DArray, 'crop_sources'),
+        self._answers = Outputs(
+            *(
+                Output(publisher.publish, publisher.get_subscription_count)
+                for publisher in (
+                    self._output(Detection2DArray, 'boxes'),
+                    self._output(Detection2DArray, 'crop_regions'),
+                    self._output(Detection2DArray, 'crop_sources'),
+                )
             )
-        ))
+        )
         # First, so that the size that was published before a message is known by then.
         self._camera = self._input(CameraInfo, 'camera_info', self._on_camera_info)
         self._detections = self._input(

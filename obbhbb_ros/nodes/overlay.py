@@ -123,7 +123,8 @@ class Overlay(ManagedNode[OverlaySettings]):
     def _facts(self) -> dict[str, str]:
         """Report what is waiting, and whether anybody looks."""
         return {
-            'frames_waiting': str(len(self._frames)), 'watched': str(bool(self._inputs)).lower()
+            'frames_waiting': str(len(self._frames)),
+            'watched': str(bool(self._inputs)).lower(),
         }
 
     def _silent_for(self, values: Mapping[str, Any]) -> float:
@@ -184,7 +185,8 @@ class Overlay(ManagedNode[OverlaySettings]):
         """Draw the frames that are complete, or have waited long enough."""
         settings = self._parameters_in_force.settings
         awaited = {
-            layer for layer in settings.colors
+            layer
+            for layer in settings.colors
             if self._subscriptions_by_kind[layer].get_publisher_count()
         }
         for parts in self._frames.ready(awaited, time.monotonic(), settings.limits):
@@ -192,9 +194,7 @@ class Overlay(ManagedNode[OverlaySettings]):
             self._draw(OverlayFrame(parts, settings), settings, awaited)
             self._monitor.took(time.perf_counter() - started)
 
-    def _draw(
-        self, frame: OverlayFrame, settings: OverlaySettings, awaited: set[str]
-    ) -> None:
+    def _draw(self, frame: OverlayFrame, settings: OverlaySettings, awaited: set[str]) -> None:
         """Publish one frame as far as somebody looks."""
         self._monitor.add('frames_drawn')
         self._monitor.add('boxes_not_drawn', frame.boxes_not_drawn)

@@ -105,16 +105,20 @@ class LiveParameters(Generic[SettingsT]):
         """Return the values worth reporting: parameters of a class only where they were set."""
         always = self._table.parameters()
         return {
-            name: value for name, value in self.values().items()
+            name: value
+            for name, value in self.values().items()
             if name in always or value != self._declared[name].default
         }
 
     def _declare(self, parameters: Mapping[str, Parameter]) -> None:
         """Declare parameters with what was given for them at start."""
-        self._node.declare_parameters('', [
-            (name, parameter.default, descriptor(parameter))
-            for name, parameter in parameters.items()
-        ])
+        self._node.declare_parameters(
+            '',
+            [
+                (name, parameter.default, descriptor(parameter))
+                for name, parameter in parameters.items()
+            ],
+        )
         self._declared.update(parameters)
 
     def _follow_classes(self) -> None:

@@ -56,7 +56,6 @@ _POLL_PERIOD = 0.1
 _QUIET_POLLS = 3
 
 
-
 @dataclass(frozen=True)
 class PlayerSettings:
     """What may change while the player runs."""
@@ -71,54 +70,72 @@ def _settings(values: Mapping[str, Any]) -> PlayerSettings:
     """Make settings for `play_detections`."""
     if bool(values['image_width']) != bool(values['image_height']):
         raise ValueError('image_width and image_height must be given together')
-    return PlayerSettings(
-        values['loop'], values['images'], values['frame_id'], values['bow']
-    )
+    return PlayerSettings(values['loop'], values['images'], values['frame_id'], values['bow'])
 
 
 PLAY_DETECTIONS = ParameterTable(
     (
         Parameter(
-            'path', '',
-            'Label file, or folder of label files (empty: a synthetic harbour).', read_only=True,
+            'path',
+            '',
+            'Label file, or folder of label files (empty: a synthetic harbour).',
+            read_only=True,
         ),
         Parameter(
-            'format', '', 'Format of the labels (empty: detected).', choices=('', *FORMATS),
+            'format',
+            '',
+            'Format of the labels (empty: detected).',
+            choices=('', *FORMATS),
             read_only=True,
         ),
         Parameter('rate', 1.0, 'Images per second.', 0.001, 10000.0, read_only=True),
         Parameter('loop', False, 'Start again after the last image, instead of ending.'),
         Parameter(
-            'output_type', next(iter(INPUT_TYPES)),
+            'output_type',
+            next(iter(INPUT_TYPES)),
             'Message type; the topic is '
             + ', '.join(f'`{each.topic}` for {each.name}' for each in INPUT_TYPES.values())
             + '. A PolygonStamped holds one box.',
-            choices=tuple(INPUT_TYPES), read_only=True,
+            choices=tuple(INPUT_TYPES),
+            read_only=True,
         ),
         Parameter(
-            'bow', 'none',
+            'bow',
+            'none',
             'Angles point to the bow: where labels say so, or to the first edge of every box. For '
             'heading of obb_to_hbb.',
             choices=BOW_SOURCES,
         ),
         Parameter(
-            'images', True,
+            'images',
+            True,
             'Publish the images on `image` too, if they lie beside the labels, or in images/ '
             'where the labels lie in labels/. Needs Pillow.',
         ),
         Parameter('frame_id', 'camera', 'frame_id of every header.'),
         Parameter(
-            'image_width', 0, 'Width of every image, pixels (0: from the labels or images).',
-            0, IMAGE_SIZE_LIMIT, read_only=True,
+            'image_width',
+            0,
+            'Width of every image, pixels (0: from the labels or images).',
+            0,
+            IMAGE_SIZE_LIMIT,
+            read_only=True,
         ),
         Parameter(
-            'image_height', 0, 'Height of every image, pixels (0: from the labels or images).',
-            0, IMAGE_SIZE_LIMIT, read_only=True,
+            'image_height',
+            0,
+            'Height of every image, pixels (0: from the labels or images).',
+            0,
+            IMAGE_SIZE_LIMIT,
+            read_only=True,
         ),
         Parameter(
-            'wait_for_subscribers', 1,
+            'wait_for_subscribers',
+            1,
             'Wait for this many subscribers before the first image, so that it is not lost.',
-            0, 1000, read_only=True,
+            0,
+            1000,
+            read_only=True,
         ),
     ),
     _settings,
@@ -310,8 +327,10 @@ def yolo_message(labels: ImageLabels, header: Header, bow: BowSource = 'none') -
     for each in detections_message(labels, header, bow).detections:
         hypothesis = each.results[0].hypothesis
         detection = Detection(
-            class_id=class_ids.index(hypothesis.class_id), class_name=hypothesis.class_id,
-            score=hypothesis.score, id=each.id,
+            class_id=class_ids.index(hypothesis.class_id),
+            class_name=hypothesis.class_id,
+            score=hypothesis.score,
+            id=each.id,
         )
         center, box = each.bbox.center, detection.bbox
         box.center.position.x, box.center.position.y = center.position.x, center.position.y
@@ -327,8 +346,13 @@ def image_message(encoding: str, pixels: NDArray[Any], header: Header) -> Image:
     # An array of bytes goes into the message as it is; anything else is checked byte by byte.
     data = array('B', pixels.astype(pixels.dtype.newbyteorder('<'), order='C').tobytes())
     return Image(
-        header=header, height=height, width=width, encoding=encoding,
-        is_bigendian=0, step=len(data) // height, data=data,
+        header=header,
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=0,
+        step=len(data) // height,
+        data=data,
     )
 
 
@@ -338,10 +362,13 @@ def polygons_message(labels: ImageLabels, header: Header) -> Any:
     from polygon_msgs.msg import Polygon2D
     from polygon_msgs.msg import Polygon2DCollection
 
-    return Polygon2DCollection(header=header, polygons=[
-        Polygon2D(points=[Point2D(x=x, y=y) for x, y in corners])
-        for corners in labels.corners.tolist()
-    ])
+    return Polygon2DCollection(
+        header=header,
+        polygons=[
+            Polygon2D(points=[Point2D(x=x, y=y) for x, y in corners])
+            for corners in labels.corners.tolist()
+        ],
+    )
 
 
 def polygon_message(corners: Sequence[Sequence[float]], header: Header) -> PolygonStamped:

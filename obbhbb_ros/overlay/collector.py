@@ -109,9 +109,7 @@ class FrameCollector:
         frame.parts[kind] = item
         return is_new
 
-    def ready(
-        self, awaited: Set[str], now: float, limits: CollectorLimits
-    ) -> list[dict[str, Any]]:
+    def ready(self, awaited: Set[str], now: float, limits: CollectorLimits) -> list[dict[str, Any]]:
         """List the parts of each frame that is ready, besides the image those of `awaited`."""
         found = []
         needed = awaited | {IMAGE}

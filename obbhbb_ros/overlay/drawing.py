@@ -39,7 +39,10 @@ _LONGEST_TEXT = 24
 _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 # Pillow's names of pixels in memory.
 _RAW_MODES = {
-    'rgb8': 'RGB', 'bgr8': 'BGR', 'rgba8': 'RGBX', 'bgra8': 'BGRX',
+    'rgb8': 'RGB',
+    'bgr8': 'BGR',
+    'rgba8': 'RGBX',
+    'bgra8': 'BGRX',
 }
 # Pixels of a picture that its brightness is taken from, on each side.
 _SAMPLES = 256
@@ -183,9 +186,7 @@ def _finite(points: FloatArray) -> NDArray[np.bool_]:
     return np.logical_and.reduce(np.isfinite(points), axis=(1, 2))
 
 
-def draw(
-    image: WireImage, layers: Sequence[Layer], labels: Labels | None, style: Style
-) -> Picture:
+def draw(image: WireImage, layers: Sequence[Layer], labels: Labels | None, style: Style) -> Picture:
     """
     Draw boxes and texts over an image.
 
@@ -332,9 +333,7 @@ def clipped(segments: FloatArray, low: FloatArray, high: FloatArray) -> FloatArr
     last = np.fmin(crossings[1].min(axis=1), 1.0)
     kept = first <= last
     start, step = start[kept], step[kept]
-    return np.stack(
-        (start + first[kept, None] * step, start + last[kept, None] * step), axis=1
-    )
+    return np.stack((start + first[kept, None] * step, start + last[kept, None] * step), axis=1)
 
 
 def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int:
@@ -377,8 +376,10 @@ def _place(
     for wanted in (int(low[1]) - height, int(high[1]) + 1):
         y = min(max(wanted, 0), max(size[1] - height, 0))
         covers = (
-            (taken[:, 0] < x + width) & (taken[:, 2] > x)
-            & (taken[:, 1] < y + height) & (taken[:, 3] > y)
+            (taken[:, 0] < x + width)
+            & (taken[:, 2] > x)
+            & (taken[:, 1] < y + height)
+            & (taken[:, 3] > y)
         )
         if not covers.any():
             return x, y

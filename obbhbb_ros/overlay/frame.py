@@ -78,8 +78,7 @@ class OverlayFrame:
             If the image cannot be drawn on.
         """
         layers = [
-            Layer(self._settings.colors[layer], corners)
-            for layer, corners in self._corners.items()
+            Layer(self._settings.colors[layer], corners) for layer, corners in self._corners.items()
         ]
         return draw(self.image, layers, self._labels(), self._settings.style)
 
@@ -87,8 +86,11 @@ class OverlayFrame:
         """Write a layer as a marker; one without lines if it did not come."""
         image, settings = self.image, self._settings
         return line_list(
-            image.stamp, image.frame_id, (layer, _NUMBERS[layer]),
-            lines(self._corners.get(layer, _NOWHERE)), settings.colors[layer],
+            image.stamp,
+            image.frame_id,
+            (layer, _NUMBERS[layer]),
+            lines(self._corners.get(layer, _NOWHERE)),
+            settings.colors[layer],
             settings.style.line_width_for((image.width, image.height)),
         )
 
@@ -99,9 +101,7 @@ class OverlayFrame:
         found = {}
         for layer, detections in self._layers.items():
             if layer == 'detections':
-                boxes = oriented_boxes(
-                    detections, settings.input_frame, size, settings.theta_scale
-                )
+                boxes = oriented_boxes(detections, settings.input_frame, size, settings.theta_scale)
             else:
                 boxes = oriented_boxes(detections, InputFrame((0, 0)), None)
             found[layer] = np.where(boxes.valid[:, None, None], boxes.corners, np.nan)

@@ -192,8 +192,12 @@ class Status:
     def balance(self) -> int:
         """Chips planned that are unaccounted for; 0."""
         return self.counts.get('planned', 0) - (
-            self.counts.get('delivered', 0) + self.waiting + self.in_outbox + self.in_work
-            + self.total('evicted') + self.total('refused')
+            self.counts.get('delivered', 0)
+            + self.waiting
+            + self.in_outbox
+            + self.in_work
+            + self.total('evicted')
+            + self.total('refused')
         )
 
 
@@ -228,13 +232,14 @@ class Spool:
     (True, 1, 2, 1)
     """
 
-    def __init__(
-        self, folder: Path, on_trouble: Callable[[str], object], role: str = ''
-    ) -> None:
+    def __init__(self, folder: Path, on_trouble: Callable[[str], object], role: str = '') -> None:
         self._folder = Path(folder)
         self._on_trouble = on_trouble
         self._catalogue = Catalogue(
-            self._folder, _SCHEMA, _VERSION, on_trouble,
+            self._folder,
+            _SCHEMA,
+            _VERSION,
+            on_trouble,
             {'writer': self._become_writer, 'releaser': self._become_releaser}.get(role),
             _WRITER_PATIENCE if role == 'writer' else PATIENCE,
         )
@@ -313,11 +318,13 @@ class Spool:
             Bytes of the first one that has no room; infinite if all that wait are larger than one
             may be, 0 if none waits.
         """
+
         def work(rows: sqlite3.Cursor) -> tuple[list[tuple[StoredChip, bytes]], float]:
             left, claimed, missing = room, [], 0.0
             for cost, *fields in rows.execute(
                 f'SELECT {_COST} + ?, {_COLUMNS} FROM chips WHERE state = ? AND {_COST} + ? <= ? '
-                'ORDER BY value DESC, seq LIMIT ?', (overhead, WAITING, overhead, largest, most)
+                'ORDER BY value DESC, seq LIMIT ?',
+                (overhead, WAITING, overhead, largest, most),
             ).fetchall():
                 if cost > left:
                     missing = cost
@@ -344,13 +351,16 @@ class Spool:
     def unclaim(self, ids: Sequence[str]) -> None:
         """Put claimed chips back."""
         if ids:
-            self._write(lambda rows: rows.executemany(
-                'UPDATE chips SET state = ? WHERE id = ? AND state = ?',
-                [(WAITING, each, CLAIMED) for each in ids],
-            ))
+            self._write(
+                lambda rows: rows.executemany(
+                    'UPDATE chips SET state = ? WHERE id = ? AND state = ?',
+                    [(WAITING, each, CLAIMED) for each in ids],
+                )
+            )
 
     def released(self, ids: Sequence[str], delivered: bool) -> None:
         """Write down that chips are in the outbox, and whether they are delivered by that."""
+
         def work(rows: sqlite3.Cursor) -> None:
             # The outbox has the file now.
             rows.executemany(
@@ -371,12 +381,18 @@ class Spool:
 
     def ids(self, state: int) -> list[str]:
         """List the ids of the chips in a state."""
-        return [chip_id for (chip_id,) in self._catalogue.run(lambda rows: rows.execute(
-            'SELECT id FROM chips WHERE state = ?', (state,)
-        ).fetchall())]
+        return [
+            chip_id
+            for (chip_id,) in self._catalogue.run(
+                lambda rows: rows.execute(
+                    'SELECT id FROM chips WHERE state = ?', (state,)
+                ).fetchall()
+            )
+        ]
 
     def set_aside(self, chip_id: str) -> None:
         """Take a chip whose file is damaged out of the catalogue, and count it as evicted."""
+
         def work(rows: sqlite3.Cursor) -> None:
             rows.execute('DELETE FROM chips WHERE id = ?', (chip_id,))
             _book(rows, 'evicted.damaged', rows.rowcount)
@@ -392,14 +408,13 @@ class Spool:
 
     def set_outbox(self, token: str) -> None:
         """Write down which outbox chips are released into."""
-        self._write(
-            lambda rows: rows.execute("REPLACE INTO notes VALUES ('outbox', ?)", (token,))
-        )
+        self._write(lambda rows: rows.execute("REPLACE INTO notes VALUES ('outbox', ?)", (token,)))
 
     # Looking at it and changing it
 
     def status(self) -> Status:
         """Read the books."""
+
         def work(rows: sqlite3.Cursor) -> Status:
             totals = {
                 state: (chips, size)
@@ -422,10 +437,16 @@ class Spool:
         self, where: str = '1', values: Sequence[Any] = (), most: int = -1
     ) -> list[StoredChip]:
         """List chips that meet an SQL condition, in the order of their release."""
-        return [StoredChip(*row) for row in self._catalogue.run(lambda rows: rows.execute(
-            f'SELECT {_COLUMNS} FROM chips WHERE {where} ORDER BY state, value DESC, seq '
-            'LIMIT ?', (*values, most)
-        ).fetchall())]
+        return [
+            StoredChip(*row)
+            for row in self._catalogue.run(
+                lambda rows: rows.execute(
+                    f'SELECT {_COLUMNS} FROM chips WHERE {where} ORDER BY state, value DESC, seq '
+                    'LIMIT ?',
+                    (*values, most),
+                ).fetchall()
+            )
+        ]
 
     def data(self, seq: int) -> bytes | None:
         """Read the file of a chip; None if it is in the outbox."""
@@ -436,6 +457,7 @@ class Spool:
 
     def revalue(self, where: str, values: Sequence[Any], factor: float, addend: float) -> int:
         """Change the value of waiting chips that meet a condition; return how many."""
+
         def work(rows: sqlite3.Cursor, seqs: Sequence[int]) -> None:
             # JSON has no infinite numbers.
             rows.executemany(
@@ -447,6 +469,7 @@ class Spool:
 
     def delete(self, where: str, values: Sequence[Any]) -> int:
         """Delete waiting chips that meet a condition, counted as evicted; return how many."""
+
         def work(rows: sqlite3.Cursor, seqs: Sequence[int]) -> None:
             rows.executemany('DELETE FROM chips WHERE seq = ?', [(seq,) for seq in seqs])
             _book(rows, 'evicted.deleted', len(seqs))
@@ -465,7 +488,8 @@ class Spool:
         def work(rows: sqlite3.Cursor) -> list[int]:
             found = rows.execute(
                 f'SELECT seq FROM chips WHERE state = ? AND seq > ? AND {where} ORDER BY seq '
-                'LIMIT ?', (WAITING, last, *values, _MOST_EVICTED),
+                'LIMIT ?',
+                (WAITING, last, *values, _MOST_EVICTED),
             ).fetchall()
             seqs = [seq for (seq,) in found]
             change(rows, seqs)
@@ -482,6 +506,7 @@ class Spool:
 
     def forget_outbox(self) -> int:
         """Count the chips in the outbox as evicted, and take any outbox; return how many."""
+
         def work(rows: sqlite3.Cursor) -> int:
             rows.execute('DELETE FROM chips WHERE state = ?', (RELEASED,))
             lost = rows.rowcount
@@ -504,6 +529,7 @@ class Spool:
 
     def _write(self, work: Callable[[sqlite3.Cursor], T]) -> T:
         """Change something, after what could not be written down before."""
+
         def all_work(rows: sqlite3.Cursor) -> T:
             for frame, refused in self._arrears:
                 self._settle(rows, frame, refused)
@@ -567,8 +593,14 @@ class Spool:
         }
         name = f'{seconds}_{nanoseconds:09d}_{self._catalogue.tag}_{seq}'
         return (
-            seq, name, WAITING, chip.value, chip.class_id, len(chip.data),
-            json.dumps(facts, ensure_ascii=False), chip.data,
+            seq,
+            name,
+            WAITING,
+            chip.value,
+            chip.class_id,
+            len(chip.data),
+            json.dumps(facts, ensure_ascii=False),
+            chip.data,
         )
 
     def _settle(self, rows: sqlite3.Cursor, frame: Frame, refused: Mapping[str, int]) -> None:
@@ -660,7 +692,8 @@ def _evict(rows: sqlite3.Cursor, max_bytes: float) -> bool:
         # Two questions that the one index answers.
         rows.execute(
             'DELETE FROM chips WHERE seq = (SELECT seq FROM chips WHERE state = ?1 AND value = '
-            '(SELECT min(value) FROM chips WHERE state = ?1) ORDER BY seq LIMIT 1)', (WAITING,),
+            '(SELECT min(value) FROM chips WHERE state = ?1) ORDER BY seq LIMIT 1)',
+            (WAITING,),
         )
         left = bool(rows.rowcount)
         evicted += rows.rowcount
@@ -709,8 +742,10 @@ def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
                     break
                 seen.add(chip.seq)
                 # Damage may have turned a value into a text.
-                if data is not None and isinstance(chip.value, float) and describe_intact(
-                    chip, data
+                if (
+                    data is not None
+                    and isinstance(chip.value, float)
+                    and describe_intact(chip, data)
                 ):
                     yield chip, data
         if troubles and not seen:

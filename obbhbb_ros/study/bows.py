@@ -48,10 +48,15 @@ def bow_sides(boxes: OrientedBoxes, hulls: Sequence[FloatArray | None]) -> NDArr
     """
     center, along, across = boxes.center, boxes.long_axis, boxes.short_axis
     local = [
-        None if hull is None or not boxes.valid[row] else np.stack((
-            (hull - center[:, row]) @ along[:, row] / (along[:, row] @ along[:, row]),
-            (hull - center[:, row]) @ across[:, row] / (across[:, row] @ across[:, row]),
-        ), axis=1)
+        None
+        if hull is None or not boxes.valid[row]
+        else np.stack(
+            (
+                (hull - center[:, row]) @ along[:, row] / (along[:, row] @ along[:, row]),
+                (hull - center[:, row]) @ across[:, row] / (across[:, row] @ across[:, row]),
+            ),
+            axis=1,
+        )
         for row, hull in enumerate(hulls)
     ]
     polygons, start = outlines(local), 1.0 - 2.0 * END

@@ -45,17 +45,22 @@ class Objective:
     sign: float = 1.0
 
 
-OBJECTIVES: MappingProxyType[str, Objective] = MappingProxyType({
-    'mean_iou': Objective(summary='the largest mean IoU', figure='iou', unit='mean IoU'),
-    'match50': Objective(
-        summary='the most ships with an IoU of 0.5 or more, then the largest mean IoU',
-        figure='match', unit='match50',
-    ),
-    'coverage': Objective(
-        summary='the smallest mean area that covers the required share of ships',
-        figure='area', unit='relative area', sign=-1.0,
-    ),
-})
+OBJECTIVES: MappingProxyType[str, Objective] = MappingProxyType(
+    {
+        'mean_iou': Objective(summary='the largest mean IoU', figure='iou', unit='mean IoU'),
+        'match50': Objective(
+            summary='the most ships with an IoU of 0.5 or more, then the largest mean IoU',
+            figure='match',
+            unit='match50',
+        ),
+        'coverage': Objective(
+            summary='the smallest mean area that covers the required share of ships',
+            figure='area',
+            unit='relative area',
+            sign=-1.0,
+        ),
+    }
+)
 
 
 @dataclass(frozen=True)

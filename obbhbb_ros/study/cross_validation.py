@@ -92,9 +92,7 @@ class Gain:
         verdict = 'better' if self.earned else 'not clearly better'
         none = 'none, ' if self.mean < LEAST_GAIN else ''
         interval = f'{self.low:+.4f} to {self.high:+.4f}'
-        return (
-            f'{self.name}: {verdict} than {self.base}, gain {none}{self.mean:+.4f} ({interval})'
-        )
+        return f'{self.name}: {verdict} than {self.base}, gain {none}{self.mean:+.4f} ({interval})'
 
 
 @dataclass(eq=False)
@@ -218,9 +216,7 @@ def run(
     return outcome
 
 
-def _measure(
-    outcome: Outcome, groupings: Mapping[str, Grouping], folds: int, seed: int
-) -> None:
+def _measure(outcome: Outcome, groupings: Mapping[str, Grouping], folds: int, seed: int) -> None:
     """Score fixed rules and calibrated ones on held-out images, and what groups gain."""
     ships, plan = outcome.ships, outcome.plan
     fixed = {'outer': HullRule('outer'), 'paper': PAPER_RULE, 'default': HullRule()}
@@ -329,9 +325,7 @@ def _large_classes(outcome: Outcome) -> list[str]:
     return []
 
 
-def _gain(
-    outcome: Outcome, name: str, rows: Any = slice(None), title: str | None = None
-) -> Gain:
+def _gain(outcome: Outcome, name: str, rows: Any = slice(None), title: str | None = None) -> Gain:
     """Compare groups with one rule, ship by ship."""
     objective = OBJECTIVES[outcome.plan.objective]
     found = outcome.held_out[name][objective.figure]

@@ -52,8 +52,13 @@ _MARKERS = 'o^s*Dv<>'
 _CLOSE_UPS = 6
 _PANEL_WIDTH = 5.6
 _STYLE = {
-    'axes.spines.right': False, 'axes.spines.top': False, 'axes.grid': True, 'grid.alpha': 0.25,
-    'font.size': 10.0, 'svg.fonttype': 'none', 'svg.hashsalt': 'obbhbb',
+    'axes.spines.right': False,
+    'axes.spines.top': False,
+    'axes.grid': True,
+    'grid.alpha': 0.25,
+    'font.size': 10.0,
+    'svg.fonttype': 'none',
+    'svg.hashsalt': 'obbhbb',
 }
 
 
@@ -74,7 +79,7 @@ def svg(figure: Figure) -> str:
     with _styled():
         figure.savefig(file, format='svg', metadata={'Date': None})
     text = file.getvalue()
-    return text[text.index('<svg'):]
+    return text[text.index('<svg') :]
 
 
 @contextmanager
@@ -126,15 +131,22 @@ def _draw_bands(axes: Any, by_stratum: Mapping[str, Mapping[str, evaluation.Scor
         found = {x: by_stratum[band][method] for x, band in enumerate(bands) if band in by_stratum}
         spread = np.array([[s.iou - s.iou_low, s.iou_high - s.iou] for s in found.values()])
         axes.errorbar(
-            list(found), [score.iou for score in found.values()],
-            np.nan_to_num(spread.reshape(-1, 2)).clip(0.0).T, label=method,
-            color=color_of(method), marker=_MARKERS[index % len(_MARKERS)],
-            lw=2.2 if method == 'superellipse' else 1.4, capsize=2,
+            list(found),
+            [score.iou for score in found.values()],
+            np.nan_to_num(spread.reshape(-1, 2)).clip(0.0).T,
+            label=method,
+            color=color_of(method),
+            marker=_MARKERS[index % len(_MARKERS)],
+            lw=2.2 if method == 'superellipse' else 1.4,
+            capsize=2,
             ls='--' if method.endswith('published') else '-',
         )
     axes.set(
-        xticks=range(len(bands)), xticklabels=bands, xlim=(-0.25, len(bands) - 0.75),
-        ylim=(0.0, 1.0), ylabel='mean IoU',
+        xticks=range(len(bands)),
+        xticklabels=bands,
+        xlim=(-0.25, len(bands) - 0.75),
+        ylim=(0.0, 1.0),
+        ylabel='mean IoU',
     )
 
 
@@ -148,8 +160,12 @@ def surface_figure(surfaces: Mapping[str, Surface]) -> Figure:
         _draw_surface(axes, best_s[title], limits)
         grid = surface.grid
         axes.set(
-            xticks=range(len(grid.q)), xticklabels=[f'{q:g}' for q in grid.q], xlabel='q',
-            yticks=range(len(grid.f)), yticklabels=[f'{f:g}' for f in grid.f], ylabel='f',
+            xticks=range(len(grid.q)),
+            xticklabels=[f'{q:g}' for q in grid.q],
+            xlabel='q',
+            yticks=range(len(grid.f)),
+            yticklabels=[f'{f:g}' for f in grid.f],
+            ylabel='f',
         )
         q, f, s = surface.best()
         axes.set_title(f'{title}: best q {q:g}, f {f:g}, s {s:g}', fontsize=10)
@@ -350,12 +366,21 @@ def delivery_figure(
         y = np.concatenate(([0.0], np.cumsum(values), [total]))
         axes.step(x, y, where='post', color=color, lw=2.0)
         axes.annotate(
-            f'{name}:\n{total:,.0f}', (hours, total), (6, 0), textcoords='offset points',
-            va='center', color=color, fontsize=9, annotation_clip=False,
+            f'{name}:\n{total:,.0f}',
+            (hours, total),
+            (6, 0),
+            textcoords='offset points',
+            va='center',
+            color=color,
+            fontsize=9,
+            annotation_clip=False,
         )
     axes.set(
-        xlim=(0.0, hours), ylim=(0.0, 1.1 * best), xlabel='hours (shaded: contact)',
-        ylabel='value delivered', title=title,
+        xlim=(0.0, hours),
+        ylim=(0.0, 1.1 * best),
+        xlabel='hours (shaded: contact)',
+        ylabel='value delivered',
+        title=title,
     )
     axes.xaxis.set_major_locator(MaxNLocator(8, steps=(1, 2, 3, 5, 10)))
     return figure

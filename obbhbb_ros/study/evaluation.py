@@ -35,7 +35,10 @@ ALL = 'all'
 # A band includes its lower end and excludes its upper end; tilt is 45° at most.
 TILT_BANDS = {'tilt 0-15°': (0.0, 15.0), 'tilt 15-30°': (15.0, 30.0), 'tilt 30-45°': (30.0, np.inf)}
 ASPECT_BANDS = {
-    'L/W 1-3': (1.0, 3.0), 'L/W 3-5': (3.0, 5.0), 'L/W 5-7': (5.0, 7.0), 'L/W >= 7': (7.0, np.inf)
+    'L/W 1-3': (1.0, 3.0),
+    'L/W 3-5': (3.0, 5.0),
+    'L/W 5-7': (5.0, 7.0),
+    'L/W >= 7': (7.0, np.inf),
 }
 TILTED = 10.0
 # A hull counts as kept from this share of its area on.
@@ -209,10 +212,12 @@ class Score:
     iou: float = field(metadata=_figure('mean IoU', lambda each: each.overlap.iou))
     iou_low: float
     iou_high: float
-    match: float = field(metadata=_figure(
-        'match{threshold:g}',
-        lambda each: each.overlap.match(each.settings.threshold).astype(float),
-    ))
+    match: float = field(
+        metadata=_figure(
+            'match{threshold:g}',
+            lambda each: each.overlap.match(each.settings.threshold).astype(float),
+        )
+    )
     overshoot: float = field(metadata=_figure('overshoot', lambda each: each.overlap.overshoot))
     undershoot: float = field(metadata=_figure('undershoot', lambda each: each.overlap.undershoot))
     average_error: float = field(
@@ -222,10 +227,13 @@ class Score:
         metadata=_figure('area error', lambda each: each.overlap.relative_error)
     )
     coverage: float = field(metadata=_figure('coverage', lambda each: each.overlap.coverage))
-    kept: float = field(metadata=_figure(
-        'keep {keep:.0%}',
-        lambda each: (each.overlap.coverage >= each.settings.keep).astype(float), '.1%',
-    ))
+    kept: float = field(
+        metadata=_figure(
+            'keep {keep:.0%}',
+            lambda each: (each.overlap.coverage >= each.settings.keep).astype(float),
+            '.1%',
+        )
+    )
     area: float = field(metadata=_figure('area/outer', _area))
     match75: float = field(metadata=_figure('match75', _matches(0.75)))
     match90: float = field(metadata=_figure('match90', _matches(0.9)))
@@ -233,9 +241,9 @@ class Score:
     hull_kept: float = field(metadata=_figure(f'hull {HULL_KEPT:.0%}', _hull_kept, '.1%'))
 
 
-FIGURES: MappingProxyType[str, Figure] = MappingProxyType({
-    each.name: each.metadata['figure'] for each in fields(Score) if each.metadata
-})
+FIGURES: MappingProxyType[str, Figure] = MappingProxyType(
+    {each.name: each.metadata['figure'] for each in fields(Score) if each.metadata}
+)
 
 
 @dataclass(frozen=True)
@@ -348,17 +356,30 @@ def evaluate(
         for stratum, rows in strata(chosen).items():
             images = chosen.image_of[rows]
             intervals = bootstrap_intervals(
-                [each['iou'][rows] for each in found.values()], images,
-                settings.bootstrap, settings.seed,
+                [each['iou'][rows] for each in found.values()],
+                images,
+                settings.bootstrap,
+                settings.seed,
             )
             for (name, rule), (low, high) in zip(rules.items(), intervals, strict=True):
                 means = {key: mean(value[rows]) for key, value in found[name].items()}
-                scores.append(Score(
-                    protocol=protocol, stratum=stratum, method=name, q=rule.q, f=rule.f, s=rule.s,
-                    q_bow=rule.q_bow, q_stern=rule.q_stern,
-                    ships=len(images), images=len(np.unique(images)),
-                    iou_low=low, iou_high=high, **means,
-                ))
+                scores.append(
+                    Score(
+                        protocol=protocol,
+                        stratum=stratum,
+                        method=name,
+                        q=rule.q,
+                        f=rule.f,
+                        s=rule.s,
+                        q_bow=rule.q_bow,
+                        q_stern=rule.q_stern,
+                        ships=len(images),
+                        images=len(np.unique(images)),
+                        iou_low=low,
+                        iou_high=high,
+                        **means,
+                    )
+                )
     return scores
 
 
@@ -436,9 +457,7 @@ def offsets(
         # Without the rounding errors of each method, so that equal offsets are equal.
         sides = np.round(convert_by_rule(chosen.boxes, rule) - chosen.reference, 6)
         centers = np.round((sides[:, :2] + sides[:, 2:]) / 2.0, 5)
-        x, y = median_intervals(
-            list(centers.T), chosen.image_of, settings.bootstrap, settings.seed
-        )
+        x, y = median_intervals(list(centers.T), chosen.image_of, settings.bootstrap, settings.seed)
         dx, dy = np.median(centers, axis=0).tolist()
         left, top, right, bottom = np.median(sides, axis=0).tolist()
         found.append(Offset(name, dx, dy, x, y, left, top, right, bottom))

@@ -152,23 +152,26 @@ def gallery_page(received: Received, beside: Path, title: str, limit: int = 0) -
     chips = received.chips[:limit] if limit else received.chips
     classes = Counter(printable(chip.facts['class_id']) for chip in received.chips)
     numbers = {class_id: number for number, (class_id, _) in enumerate(classes.most_common())}
-    cards = [
-        _card(chip, numbers, beside, received.problems) for chip in track(chips, 'drawing')
-    ]
+    cards = [_card(chip, numbers, beside, received.problems) for chip in track(chips, 'drawing')]
     stamps = sorted((chip.facts['stamp'] for chip in received.chips), key=_nanoseconds)
-    return environment().get_template('gallery.html').render(
-        title=printable(title),
-        total=len(received.chips),
-        classes=classes.most_common(),
-        span=[_utc(stamp) for stamp in (stamps[0], stamps[-1])] if stamps else [],
-        size=sum(chip.size or 0 for chip in received.chips),
-        problems=received.problems,
-        cards=cards,
+    return (
+        environment()
+        .get_template('gallery.html')
+        .render(
+            title=printable(title),
+            total=len(received.chips),
+            classes=classes.most_common(),
+            span=[_utc(stamp) for stamp in (stamps[0], stamps[-1])] if stamps else [],
+            size=sum(chip.size or 0 for chip in received.chips),
+            problems=received.problems,
+            cards=cards,
+        )
     )
 
 
 def _files(folder: Path, problems: list[str]) -> Iterator[Path]:
     """Find the regular files in a folder and all below it, each folder once."""
+
     def report(error: OSError) -> None:
         problems.append(printable(str(error)))
 
@@ -215,6 +218,7 @@ def _damage(chip: Path, facts: dict[str, Any]) -> tuple[str, int | None]:
 
 # Checks of the keys ---------------------------------------------------------------------------
 
+
 def _is_text(value: Any) -> bool:
     return isinstance(value, str)
 
@@ -241,9 +245,11 @@ def _or_null(is_right: Callable[[Any], bool]) -> Callable[[Any], bool]:
 
 def _is_stamp(value: Any) -> bool:
     # Whatever fits into builtin_interfaces/msg/Time.
-    return isinstance(value, dict) and _is_whole(
-        value.get('sec'), least=-2**31, most=2**31 - 1
-    ) and _is_whole(value.get('nanosec'))
+    return (
+        isinstance(value, dict)
+        and _is_whole(value.get('sec'), least=-(2**31), most=2**31 - 1)
+        and _is_whole(value.get('nanosec'))
+    )
 
 
 def _is_roi(value: Any) -> bool:
@@ -274,9 +280,8 @@ _KEYS: dict[str, tuple[str, Callable[[Any], bool]]] = {
 
 # Cards ----------------------------------------------------------------------------------------
 
-def _card(
-    chip: Chip, numbers: dict[str, int], beside: Path, problems: list[str]
-) -> dict[str, Any]:
+
+def _card(chip: Chip, numbers: dict[str, int], beside: Path, problems: list[str]) -> dict[str, Any]:
     """Collect what the template shows of a chip."""
     facts = chip.facts
     class_id = printable(facts['class_id'])
@@ -338,9 +343,9 @@ def _converted(chip: Chip) -> str:
 
     with opened_image(chip.path) as stored:
         if list(stored.size) != chip.facts['roi'][2:]:
-            raise ValueError('not {} x {} pixels, but {} x {}'.format(
-                *chip.facts['roi'][2:], *stored.size
-            ))
+            raise ValueError(
+                'not {} x {} pixels, but {} x {}'.format(*chip.facts['roi'][2:], *stored.size)
+            )
         pixels = np.asarray(stored)
     picture = Image.fromarray(pixels if pixels.dtype == np.uint8 else _stretched(pixels))
     picture = picture.convert('L' if pixels.ndim == 2 else 'RGB')
@@ -358,6 +363,7 @@ def _stretched(pixels: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 # Texts ----------------------------------------------------------------------------------------
+
 
 def _nanoseconds(stamp: dict[str, int]) -> int:
     """Return a stamp as a number."""

@@ -128,7 +128,10 @@ def _moor(random: np.random.Generator, x: float, y: float, heading: float) -> It
         yield Ship(
             x + across[0] * offset - np.cos(heading) * length / 2.0,
             y + across[1] * offset - np.sin(heading) * length / 2.0,
-            length, width, heading, 'cargo',
+            length,
+            width,
+            heading,
+            'cargo',
         )
         offset += width / 2.0 + _GAP
 

@@ -70,15 +70,17 @@ class Family:
 
 
 # The ends are the results of `fit_ends`; a test compares them.
-FAMILIES: MappingProxyType[str, Family] = MappingProxyType({
-    family.name: family
-    for family in (
-        Family('rectangular', bow=1.0, stern=1.0),
-        Family('tapered', bow=0.4415, stern=0.4415),
-        Family('bow_stern', bow=0.6795, stern=1.0),
-        Family('fine', bow=0.4548, stern=0.4548, curve=1.5),
-    )
-})
+FAMILIES: MappingProxyType[str, Family] = MappingProxyType(
+    {
+        family.name: family
+        for family in (
+            Family('rectangular', bow=1.0, stern=1.0),
+            Family('tapered', bow=0.4415, stern=0.4415),
+            Family('bow_stern', bow=0.6795, stern=1.0),
+            Family('fine', bow=0.4548, stern=0.4548, curve=1.5),
+        )
+    }
+)
 
 
 def class_name(family: str, fullness: float) -> str:

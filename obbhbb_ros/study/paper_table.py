@@ -18,28 +18,30 @@ from obbhbb_ros.study.metrics import overlap_with_hbb
 from obbhbb_ros.study.ships import Ships
 
 # By family and row (N outer, M midpoint, S shape-aware), one number per level of `FULLNESS`.
-PAPER_TABLE: MappingProxyType[str, dict[str, tuple[float, ...]]] = MappingProxyType({
-    'rectangular': {
-        'N': (0.211, 0.127, 0.073, 0.000),
-        'M': (0.218, 0.267, 0.298, 0.342),
-        'S': (0.264, 0.293, 0.310, 0.333),
-    },
-    'tapered': {
-        'N': (0.421, 0.376, 0.347, 0.305),
-        'M': (0.104, 0.128, 0.143, 0.167),
-        'S': (0.174, 0.187, 0.195, 0.208),
-    },
-    'bow_stern': {
-        'N': (0.277, 0.199, 0.148, 0.077),
-        'M': (0.191, 0.234, 0.261, 0.301),
-        'S': (0.234, 0.258, 0.272, 0.290),
-    },
-    'fine': {
-        'N': (0.413, 0.366, 0.335, 0.290),
-        'M': (0.108, 0.133, 0.150, 0.175),
-        'S': (0.175, 0.188, 0.195, 0.207),
-    },
-})
+PAPER_TABLE: MappingProxyType[str, dict[str, tuple[float, ...]]] = MappingProxyType(
+    {
+        'rectangular': {
+            'N': (0.211, 0.127, 0.073, 0.000),
+            'M': (0.218, 0.267, 0.298, 0.342),
+            'S': (0.264, 0.293, 0.310, 0.333),
+        },
+        'tapered': {
+            'N': (0.421, 0.376, 0.347, 0.305),
+            'M': (0.104, 0.128, 0.143, 0.167),
+            'S': (0.174, 0.187, 0.195, 0.208),
+        },
+        'bow_stern': {
+            'N': (0.277, 0.199, 0.148, 0.077),
+            'M': (0.191, 0.234, 0.261, 0.301),
+            'S': (0.234, 0.258, 0.272, 0.290),
+        },
+        'fine': {
+            'N': (0.413, 0.366, 0.335, 0.290),
+            'M': (0.108, 0.133, 0.150, 0.175),
+            'S': (0.175, 0.188, 0.195, 0.207),
+        },
+    }
+)
 PAPER_ROWS: MappingProxyType[str, HullRule] = MappingProxyType(
     {'N': HullRule('outer'), 'M': HullRule('midpoint'), 'S': PAPER_RULE}
 )
@@ -77,7 +79,11 @@ def paper_comparison() -> list[Comparison]:
     errors = {row: _relative_errors(ships, rule) for row, rule in PAPER_ROWS.items()}
     return [
         Comparison(
-            family, row, full, paper, errors[row][hulls.class_name(family, full)],
+            family,
+            row,
+            full,
+            paper,
+            errors[row][hulls.class_name(family, full)],
             fitted=row == 'N' and full == 1.0,
         )
         for family, table in PAPER_TABLE.items()

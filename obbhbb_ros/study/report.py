@@ -68,8 +68,12 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
     comparison = paper_table.paper_comparison()
     templates = environment()
     templates.globals.update(
-        ALL=evaluation.ALL, PROTOCOLS=PROTOCOLS, RULES=DEFAULT_RULES,
-        TUNABLE_METHODS=TUNABLE_METHODS, color_of=drawing.color_of, known_figures=known_figures,
+        ALL=evaluation.ALL,
+        PROTOCOLS=PROTOCOLS,
+        RULES=DEFAULT_RULES,
+        TUNABLE_METHODS=TUNABLE_METHODS,
+        color_of=drawing.color_of,
+        known_figures=known_figures,
     )
     return templates.get_template('report.html').render(
         title=title,
@@ -126,9 +130,9 @@ def _sensitivity(ships: Ships) -> dict[str, dict[str, FloatArray]]:
         if rows.any():
             for name, lines in curves.items():
                 bench, q = grid_search.Bench(ships.take(rows), name), DEFAULT_RULES[name].q
-                lines[f'{band} ({rows.sum()})'] = np.array([
-                    bench.overlap(bench.extents(q, f)).iou.mean() for f in SENSITIVITY_F
-                ])
+                lines[f'{band} ({rows.sum()})'] = np.array(
+                    [bench.overlap(bench.extents(q, f)).iou.mean() for f in SENSITIVITY_F]
+                )
     return curves
 
 

@@ -87,7 +87,8 @@ class Ships:
             image_of=_numbered(image_of),
             names=tuple(
                 f'{each.image} {name or row}'
-                for each in labels for row, name in enumerate(each.ids)
+                for each in labels
+                for row, name in enumerate(each.ids)
             ),
             hulls=tuple(hull for each in labels for hull in each.hulls),
             skipped=int(np.sum(~boxes.valid)),
@@ -218,8 +219,7 @@ def _boxes(labels: Sequence[ImageLabels], bow: str) -> OrientedBoxes:
         return OrientedBoxes.from_corners(corners, bow=True)
     if bow == 'labels' and any(each.bow is not None for each in labels):
         known = [
-            np.zeros(len(each.class_ids), bool) if each.bow is None else each.bow
-            for each in labels
+            np.zeros(len(each.class_ids), bool) if each.bow is None else each.bow for each in labels
         ]
         return OrientedBoxes.from_corners(corners, bow=np.concatenate(known))
     return OrientedBoxes.from_corners(corners)

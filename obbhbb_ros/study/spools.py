@@ -87,10 +87,12 @@ def open_spool(folder: Path) -> Spool:
 
 def status_text(status: Status) -> str:
     """Write the books of a spool."""
+
     def reasons(kind: str) -> str:
         found = [
             f'{name.partition(".")[2]} {count}'
-            for name, count in sorted(status.counts.items()) if name.startswith(f'{kind}.')
+            for name, count in sorted(status.counts.items())
+            if name.startswith(f'{kind}.')
         ]
         return f'{status.total(kind)}' + (f' ({", ".join(found)})' if found else '')
 
@@ -116,8 +118,13 @@ def chip_table(chips: Iterable[StoredChip]) -> str:
     """Write chips as a table, in the order of their release."""
     rows = [('id', 'class', 'value', 'kB', 'state')]
     rows += [
-        (chip.id, printable(chip.class_id), f'{chip.value:.4g}', f'{chip.bytes / 1e3:.1f}',
-         STATES[chip.state])
+        (
+            chip.id,
+            printable(chip.class_id),
+            f'{chip.value:.4g}',
+            f'{chip.bytes / 1e3:.1f}',
+            STATES[chip.state],
+        )
         for chip in chips
     ]
     widths = [max(len(row[i]) for row in rows) for i in range(5)]

@@ -69,7 +69,8 @@ def score_tables(
 def known_figures(scores: Sequence[evaluation.Score]) -> dict[str, evaluation.Figure]:
     """Select the figures that are known of any of the scores."""
     return {
-        name: figure for name, figure in evaluation.FIGURES.items()
+        name: figure
+        for name, figure in evaluation.FIGURES.items()
         if not all(np.isnan(getattr(score, name)) for score in scores)
     }
 
@@ -105,15 +106,25 @@ def _offset_table(found: Sequence[evaluation.Offset]) -> str:
     """Tabulate offsets of centres and sides."""
     rows = [
         [
-            each.method, f'{each.x:+.2f}', _range(each.x_interval),
-            f'{each.y:+.2f}', _range(each.y_interval),
+            each.method,
+            f'{each.x:+.2f}',
+            _range(each.x_interval),
+            f'{each.y:+.2f}',
+            _range(each.y_interval),
             *(f'{side:+.2f}' for side in (each.left, each.top, each.right, each.bottom)),
         ]
         for each in found
     ]
     head = [
-        'method', 'centre x', '95 % interval', 'centre y', '95 % interval',
-        'left', 'top', 'right', 'bottom',
+        'method',
+        'centre x',
+        '95 % interval',
+        'centre y',
+        '95 % interval',
+        'left',
+        'top',
+        'right',
+        'bottom',
     ]
     return text_table(head, rows)
 
@@ -174,13 +185,25 @@ def _held_out_table(outcome: Outcome) -> str:
     for name, found in outcome.held_out.items():
         mean = {key: value.mean() for key, value in found.items()}
         low, high = outcome.interval(name)
-        rows.append((
-            name, f'{mean["iou"]:.4f}', f'{low:.3f}-{high:.3f}', f'{mean["match"]:.4f}',
-            f'{mean["undershoot"]:.4f}', f'{mean["kept"]:.1%}', f'{mean["area"]:.4f}',
-        ))
+        rows.append(
+            (
+                name,
+                f'{mean["iou"]:.4f}',
+                f'{low:.3f}-{high:.3f}',
+                f'{mean["match"]:.4f}',
+                f'{mean["undershoot"]:.4f}',
+                f'{mean["kept"]:.1%}',
+                f'{mean["area"]:.4f}',
+            )
+        )
     head = (
-        'protocol hbb, held out', 'mean IoU', '95 % interval', 'match50', 'undershoot',
-        f'keep {outcome.plan.keep:.0%}', 'area/outer',
+        'protocol hbb, held out',
+        'mean IoU',
+        '95 % interval',
+        'match50',
+        'undershoot',
+        f'keep {outcome.plan.keep:.0%}',
+        'area/outer',
     )
     return text_table(head, rows)
 
@@ -188,16 +211,18 @@ def _held_out_table(outcome: Outcome) -> str:
 def _trial_lines(outcome: Outcome) -> list[str]:
     """Say what was tried beside q, what it gained and whether it was fitted."""
     plan, trials = outcome.plan, outcome.trials
+    with_bow = outcome.ships.with_bow.sum()
     tried = {
         ('f' if plan.objective == 'coverage' else 'f and s') + ' over q alone': trials.over_q,
-        f'q_bow and q_stern over q, {outcome.ships.with_bow.sum()} ships with a known bow':
-            trials.ends,
+        f'q_bow and q_stern over q, {with_bow} ships with a known bow': trials.ends,
     }
     unit = OBJECTIVES[plan.objective].unit
     return [
-        f'{name}: gain {gain:+.4f} of held-out {unit}, fitted' if gain >= LEAST_GAIN else
-        f'{name}: gain none ({gain:+.4f} of held-out {unit}, below {LEAST_GAIN:g}), not fitted'
-        for name, gain in tried.items() if gain is not None
+        f'{name}: gain {gain:+.4f} of held-out {unit}, fitted'
+        if gain >= LEAST_GAIN
+        else f'{name}: gain none ({gain:+.4f} of held-out {unit}, below {LEAST_GAIN:g}), not fitted'
+        for name, gain in tried.items()
+        if gain is not None
     ]
 
 
@@ -278,9 +303,9 @@ def scene_table(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> str:
         removed = 1.0 - background[name] / background['outer']
         kept = inside[name] / whole
         overlap = np.mean(metrics.iou(xyxy, labels.reference))
-        rows.append((
-            name, f'{width:.1f} x {height:.1f}', f'{removed:.1%}', f'{kept:.1%}', f'{overlap:.3f}'
-        ))
+        rows.append(
+            (name, f'{width:.1f} x {height:.1f}', f'{removed:.1%}', f'{kept:.1%}', f'{overlap:.3f}')
+        )
     return text_table(
         ('method', 'mean size [px]', 'background removed', 'hull kept', 'IoU with hull bounds'),
         rows,

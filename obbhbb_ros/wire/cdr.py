@@ -565,9 +565,7 @@ class Elements:
                 at = end
         return np.array(starts, np.int64)
 
-    def _walk_element(
-        self, number: int, at: int, found: Found, gaps: list[tuple[int, int]]
-    ) -> int:
+    def _walk_element(self, number: int, at: int, found: Found, gaps: list[tuple[int, int]]) -> int:
         """Go over one element; an error names it."""
         try:
             return walk(self._scalars, at, self._element, found, gaps)

@@ -337,9 +337,9 @@ class Detections:
         classes_at = places(_CLASS)[firsts[rows]]
         fields_end[rows] = classes_at + self._message.words[classes_at >> 2] + 7 & -4
         first[rows] = places(_SCORE)[firsts[rows]]
-        return np.stack((
-            places(_START), results, fields_end, first, box, places(_ID), places(ENDS)
-        ))
+        return np.stack(
+            (places(_START), results, fields_end, first, box, places(_ID), places(ENDS))
+        )
 
 
 class _Writer:
@@ -380,9 +380,9 @@ class _Writer:
         moved = padding != first - fields_end
         zeros = np.full_like(start, len(self._raw) - 8)
         starts = np.array((start, zeros, first)).T
-        stops = np.array((
-            np.where(moved, fields_end, end), zeros + padding * moved, np.where(moved, end, first)
-        )).T
+        stops = np.array(
+            (np.where(moved, fields_end, end), zeros + padding * moved, np.where(moved, end, first))
+        ).T
         pieces = stops > starts
         self._chunks += [
             self._raw[i:j]
@@ -467,15 +467,23 @@ def _as_detections(message: Elements, input_type: InputType) -> Elements:
         doubles[(numbers >> 1) + _ORIENTATION_W] = 1.0
     box_numbers = (boxes >> 1) + np.arange(_XYWHR.size)[:, None]
     if input_type.box:
-        doubles[box_numbers] = given[(message.places(input_type.box) >> 3)
-                                     + np.arange(_XYWHR.size)[:, None]]
+        doubles[box_numbers] = given[
+            (message.places(input_type.box) >> 3) + np.arange(_XYWHR.size)[:, None]
+        ]
     else:
         doubles[box_numbers] = _NO_BOX
     id_at = 4 * boxes + _BOX_BYTES
-    written.found({
-        _START: 4 * starts, _RESULTS: 4 * (starts + head), _CLASS: 4 * (starts + head + 1),
-        _SCORE: 4 * numbers, _BOX: 4 * boxes, _ID: id_at, ENDS: id_at + 4 + words[id_at >> 2],
-    })
+    written.found(
+        {
+            _START: 4 * starts,
+            _RESULTS: 4 * (starts + head),
+            _CLASS: 4 * (starts + head + 1),
+            _SCORE: 4 * numbers,
+            _BOX: 4 * boxes,
+            _ID: id_at,
+            ENDS: id_at + 4 + words[id_at >> 2],
+        }
+    )
     return written
 
 
@@ -527,6 +535,8 @@ def header_bytes(stamp: tuple[int, int], frame_id: str) -> bytes:
     """Write a `std_msgs/Header`, little-endian, filled up to whole words."""
     content = frame_id.encode(errors='replace') + b'\0'
     seconds, nanoseconds = stamp
-    return struct.pack('<iII', seconds, nanoseconds, len(content)) + content + _PADDING[
-        : -len(content) & 3
-    ]
+    return (
+        struct.pack('<iII', seconds, nanoseconds, len(content))
+        + content
+        + _PADDING[: -len(content) & 3]
+    )

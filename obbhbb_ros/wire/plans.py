@@ -75,7 +75,8 @@ class Plan:
         self.scores = [
             score if known else None
             for score, known in zip(
-                detections.scores().tolist(), np.isfinite(detections.scores()).tolist(),
+                detections.scores().tolist(),
+                np.isfinite(detections.scores()).tolist(),
                 strict=True,
             )
         ]

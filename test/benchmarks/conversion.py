@@ -33,8 +33,14 @@ def corners_of(count: int) -> np.ndarray:
     random = np.random.default_rng(1)
     x, y = random.uniform(0, 4096, (2, count))
     rows = np.stack(
-        (x, y, random.uniform(20, 300, count), random.uniform(5, 60, count),
-         random.uniform(-4, 4, count)), axis=1
+        (
+            x,
+            y,
+            random.uniform(20, 300, count),
+            random.uniform(5, 60, count),
+            random.uniform(-4, 4, count),
+        ),
+        axis=1,
     )
     return OrientedBoxes.from_xywhr(rows).corners
 
@@ -119,7 +125,9 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument(
-        '--sizes', type=int, nargs='+',
+        '--sizes',
+        type=int,
+        nargs='+',
         default=[1, 10, 100, 1000, 10_000, 100_000, 1_000_000],
     )
     sizes = parser.parse_args().sizes

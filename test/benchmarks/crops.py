@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from array import array
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,8 +36,12 @@ PLANS = (
     ('1000 boxes', 1000, SIDE, CropSettings()),
     ('100, merged', 100, SIDE, MERGE),
     ('1000, merged', 1000, SIDE, MERGE),
-    ('1000, merged, multiples of 16, max_pixels', 1000, SIDE,
-     CropSettings(merge_max_size=256, multiple_of=16, max_pixels=10**6)),
+    (
+        '1000, merged, multiples of 16, max_pixels',
+        1000,
+        SIDE,
+        CropSettings(merge_max_size=256, multiple_of=16, max_pixels=10**6),
+    ),
     ('1000 in 1500 x 1500, merged', 1000, 1500, MERGE),
     ('1000 in 640 x 640, merged', 1000, 640, MERGE),
 )
@@ -65,11 +70,9 @@ def planning() -> str:
     rows = []
     for name, count, side, settings in PLANS:
         xyxy, scores = boxes(count, side)
-        found = plan_crops(xyxy, scores, (side, side), settings)
-        median, least = milliseconds(
-            lambda: plan_crops(xyxy, scores, (side, side), settings), 200  # noqa: B023
-        )
-        rows.append((name, f'{median:.2f}', f'{least:.2f}', str(len(found.regions))))
+        plan = partial(plan_crops, xyxy, scores, (side, side), settings)
+        median, least = milliseconds(plan, 200)
+        rows.append((name, f'{median:.2f}', f'{least:.2f}', str(len(plan().regions))))
     return text_table(('plan', 'median [ms]', 'least [ms]', 'regions'), rows)
 
 
@@ -77,7 +80,10 @@ def cutting() -> str:
     """Measure extraction from a frame as it comes from the middleware."""
     pixels = np.random.default_rng(0).integers(0, 2**16, (SIDE, SIDE)).astype('<u2')
     message = Image(
-        height=SIDE, width=SIDE, encoding='mono16', step=2 * SIDE,
+        height=SIDE,
+        width=SIDE,
+        encoding='mono16',
+        step=2 * SIDE,
         data=array('B', pixels.tobytes()),
     )
     data = serialize_message(message)

@@ -90,7 +90,9 @@ class Asked:
 def all_asked() -> Iterator[list[Asked]]:
     """Run all nodes as long as the `with` block lasts."""
     with (
-        site_at() as site, Peer(site.context, f'/bench_{os.getpid()}') as peer, ExitStack() as stack
+        site_at() as site,
+        Peer(site.context, f'/bench_{os.getpid()}') as peer,
+        ExitStack() as stack,
     ):
         asked = [Asked(name, peer) for name in NODES]
         for node in asked:
@@ -114,21 +116,34 @@ def measure(asked: Sequence[Asked], count: int, rounds: int) -> list[list[str]]:
     rows = []
     for node in asked:
         values = np.array(times[node.name])
-        rows.append([
-            str(count), node.name,
-            f'{medians[node.name] * 1e3:.2f}', f'{np.nanpercentile(values, 99) * 1e3:.2f}',
-            f'{medians[node.name] / medians["echo"]:.2f}',
-            f'{medians["typed"] / medians[node.name]:.1f}',
-            f'{cpu[node.name] / values.size * 1e3:.2f}',
-            f'{cpu["typed"] / max(cpu[node.name], 1 / TICKS):.1f}',
-            f'{node.process.resident_megabytes():.0f}', str(int(np.isnan(values).sum())),
-        ])
+        rows.append(
+            [
+                str(count),
+                node.name,
+                f'{medians[node.name] * 1e3:.2f}',
+                f'{np.nanpercentile(values, 99) * 1e3:.2f}',
+                f'{medians[node.name] / medians["echo"]:.2f}',
+                f'{medians["typed"] / medians[node.name]:.1f}',
+                f'{cpu[node.name] / values.size * 1e3:.2f}',
+                f'{cpu["typed"] / max(cpu[node.name], 1 / TICKS):.1f}',
+                f'{node.process.resident_megabytes():.0f}',
+                str(int(np.isnan(values).sum())),
+            ]
+        )
     return rows
 
 
 HEAD = (
-    'detections', 'node', 'median [ms]', 'p99 [ms]', 'times echo', 'typed / this',
-    'CPU [ms/message]', 'typed CPU / this', 'resident [MB]', 'lost',
+    'detections',
+    'node',
+    'median [ms]',
+    'p99 [ms]',
+    'times echo',
+    'typed / this',
+    'CPU [ms/message]',
+    'typed CPU / this',
+    'resident [MB]',
+    'lost',
 )
 
 

@@ -135,9 +135,13 @@ class Scene:
         self._obb = np.column_stack((boxes.center.T, boxes.length, boxes.width, boxes.theta))
         regions = self._plan(labels.scores).regions.tolist()
         self._chips = {
-            chip.region: chip for chip in chips_of(
-                render(labels), PIXEL_FORMATS['rgb8'], [tuple(each) for each in regions],
-                CodecSettings(), print,
+            chip.region: chip
+            for chip in chips_of(
+                render(labels),
+                PIXEL_FORMATS['rgb8'],
+                [tuple(each) for each in regions],
+                CodecSettings(),
+                print,
             )
         }
 
@@ -222,7 +226,10 @@ class Spooled:
             role: Spool(folder / 'spool', self._fail, role) for role in ('writer', 'releaser')
         }
         self._releaser = Releaser(
-            self._spools['releaser'], Outbox(self._outbox), ReleaseSettings(day.link), self._fail,
+            self._spools['releaser'],
+            Outbox(self._outbox),
+            ReleaseSettings(day.link),
+            self._fail,
             self._clock,
         )
         self._stored = 0
@@ -261,10 +268,14 @@ class Spooled:
         """Take from the outbox what the ground has now."""
         for described in self._outbox.glob('*/*.json'):
             chip, facts = described.with_suffix('.jpg'), json.loads(described.read_bytes())
-            self.delivered.append(Delivered(
-                self._clock.now, facts['score'], self._clock.now - facts['stamp']['sec'],
-                described.stat().st_size + chip.stat().st_size,
-            ))
+            self.delivered.append(
+                Delivered(
+                    self._clock.now,
+                    facts['score'],
+                    self._clock.now - facts['stamp']['sec'],
+                    described.stat().st_size + chip.stat().st_size,
+                )
+            )
             chip.unlink()
             described.unlink()
 
@@ -339,7 +350,10 @@ def simulate(day: Day) -> Outcome:
                 strategy.run(time + day.period, contact)
         values, costs, before = np.array(planned).T
         return Outcome(
-            day, values, costs, before.astype(bool),
+            day,
+            values,
+            costs,
+            before.astype(bool),
             {strategy.name: strategy.delivered for strategy in strategies},
             {each.name: each.status() for each in spooled},
         )
@@ -351,7 +365,14 @@ def cost(chip: NewChip) -> int:
 
 
 HEAD = (
-    'strategy', 'planned', 'delivered', 'MB', 'value', 'of planned', 'of best', 'median age [h]',
+    'strategy',
+    'planned',
+    'delivered',
+    'MB',
+    'value',
+    'of planned',
+    'of best',
+    'median age [h]',
 )
 
 
@@ -363,18 +384,34 @@ def table(outcome: Outcome) -> str:
     for name, delivered in outcome.delivered.items():
         value = sum(each.value for each in delivered)
         age = float(np.median([each.age for each in delivered])) if delivered else float('nan')
-        rows.append((
-            name, chips, str(len(delivered)), f'{sum(each.bytes for each in delivered) / 1e6:.1f}',
-            f'{value:.0f}', f'{value / planned:.1%}', f'{value / best:.0%}', f'{age / 3600.0:.1f}',
-        ))
+        rows.append(
+            (
+                name,
+                chips,
+                str(len(delivered)),
+                f'{sum(each.bytes for each in delivered) / 1e6:.1f}',
+                f'{value:.0f}',
+                f'{value / planned:.1%}',
+                f'{value / best:.0%}',
+                f'{age / 3600.0:.1f}',
+            )
+        )
     for name, value in (
         ('best: the most valuable that fit', best),
         ('the most value per byte that fits', outcome.best_by_byte()),
     ):
-        rows.append((
-            name, chips, '', f'{outcome.day.capacity / 1e6:.1f}',
-            f'{value:.0f}', f'{value / planned:.1%}', f'{value / best:.0%}', '',
-        ))
+        rows.append(
+            (
+                name,
+                chips,
+                '',
+                f'{outcome.day.capacity / 1e6:.1f}',
+                f'{value:.0f}',
+                f'{value / planned:.1%}',
+                f'{value / best:.0%}',
+                '',
+            )
+        )
     return text_table(HEAD, rows)
 
 
@@ -395,7 +432,10 @@ def draw(outcome: Outcome, path: Path) -> None:
         for window in day.windows
     ]
     figure = drawing.delivery_figure(
-        curves, outcome.best(), contacts, day.frames * day.period / 3600.0,
+        curves,
+        outcome.best(),
+        contacts,
+        day.frames * day.period / 3600.0,
         'Synthetic harbour: value delivered over a day',
     )
     drawing.save(figure, path, dpi=100)

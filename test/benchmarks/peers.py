@@ -41,10 +41,13 @@ class TypedMinMax(Node):
             box = detection.bbox
             cos, sin = math.cos(box.center.theta), math.sin(box.center.theta)
             half_x, half_y = box.size_x / 2, box.size_y / 2
-            x, y = zip(*(
-                (u * half_x * cos - v * half_y * sin, u * half_x * sin + v * half_y * cos)
-                for u, v in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-            ), strict=True)
+            x, y = zip(
+                *(
+                    (u * half_x * cos - v * half_y * sin, u * half_x * sin + v * half_y * cos)
+                    for u, v in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+                ),
+                strict=True,
+            )
             converted = Detection2D(header=detection.header, id=detection.id)
             converted.results = detection.results
             converted.bbox.center.position.x = box.center.position.x

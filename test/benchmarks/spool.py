@@ -75,8 +75,9 @@ class Noted(Outbox):
         super().__init__(folder)
         self.order: list[tuple[float, int]] = []
 
-    def put(self, chip_id: str, suffix: str, data: bytes, description: dict[str, Any],
-            level: int) -> None:
+    def put(
+        self, chip_id: str, suffix: str, data: bytes, description: dict[str, Any], level: int
+    ) -> None:
         self.order.append((-description['value'], int(chip_id.rpartition('_')[2])))
         super().put(chip_id, suffix, data, description, level)
 
@@ -104,8 +105,7 @@ def main() -> None:
         full = 1e3 * np.array(storing(writer, 20 * FRAME, size))
         status = seconds(writer.status)
         shown: list[Any] = []
-        looked = seconds(lambda: shown.append(json.loads(subprocess.check_output(
-            command(folder)))))
+        looked = seconds(lambda: shown.append(json.loads(subprocess.check_output(command(folder)))))
         outbox = Noted(Path(name) / 'outbox')
         releaser = Releaser(Spool(folder, print, 'releaser'), outbox, ReleaseSettings(), print)
         started = seconds(releaser.step)
@@ -121,20 +121,28 @@ def main() -> None:
         assert outbox.order == sorted(outbox.order), 'not in order'
         assert writer.status().balance == 0
         writer.close()
-    print(text_table((f'{shown[0]["waiting"]} chips of {SIZE} bytes', 'median', 'greatest'), [
-        (f'store a frame of {FRAME} [ms]', f'{np.median(times):.1f}', f'{times.max():.1f}'),
-        ('the same, evicting [ms]', f'{np.median(full):.1f}', f'{full.max():.1f}'),
-        (f'encode {FRAME} chips of 90 x 80 [ms]', f'{np.median(encoded):.1f}',
-         f'{encoded.max():.1f}'),
-        ('start of the releaser [ms]', f'{1e3 * started:.1f}', ''),
-        ('first batch [ms]', f'{1e3 * first:.1f}', ''),
-        ('status [ms]', f'{1e3 * status:.1f}', ''),
-        ('obbhbb spool [ms]', f'{1e3 * looked:.0f}', ''),
-        ('released per second', f'{rate:.0f}', ''),
-        ('size of the catalogue [MB]', f'{size / 1e6:.0f}', ''),
-        ('memory grown by storing [MB]', f'{grown:.1f}', ''),
-        ('memory grown by releasing [MB]', f'{releasing:.1f}', ''),
-    ]))
+    print(
+        text_table(
+            (f'{shown[0]["waiting"]} chips of {SIZE} bytes', 'median', 'greatest'),
+            [
+                (f'store a frame of {FRAME} [ms]', f'{np.median(times):.1f}', f'{times.max():.1f}'),
+                ('the same, evicting [ms]', f'{np.median(full):.1f}', f'{full.max():.1f}'),
+                (
+                    f'encode {FRAME} chips of 90 x 80 [ms]',
+                    f'{np.median(encoded):.1f}',
+                    f'{encoded.max():.1f}',
+                ),
+                ('start of the releaser [ms]', f'{1e3 * started:.1f}', ''),
+                ('first batch [ms]', f'{1e3 * first:.1f}', ''),
+                ('status [ms]', f'{1e3 * status:.1f}', ''),
+                ('obbhbb spool [ms]', f'{1e3 * looked:.0f}', ''),
+                ('released per second', f'{rate:.0f}', ''),
+                ('size of the catalogue [MB]', f'{size / 1e6:.0f}', ''),
+                ('memory grown by storing [MB]', f'{grown:.1f}', ''),
+                ('memory grown by releasing [MB]', f'{releasing:.1f}', ''),
+            ],
+        )
+    )
 
 
 if __name__ == '__main__':

@@ -85,7 +85,8 @@ class Bus:
         """Deliver the chip that is next; False if none is waiting, or it did not arrive."""
         for record in waiting(outbox)[:1]:
             chips = [
-                each for each in record.parent.glob(f'{glob.escape(record.stem)}.*')
+                each
+                for each in record.parent.glob(f'{glob.escape(record.stem)}.*')
                 if each != record
             ]
             files = [*chips, record]
@@ -100,9 +101,7 @@ class Bus:
     def send(self, file: Path, name: str) -> bool:
         """Send a file; return whether the ground confirms that all of it is there under `name`."""
         user = _Sender()
-        handler = SourceHandler(
-            local_entity(BUS), user, self._remote, NoTimers(), self._numbers
-        )
+        handler = SourceHandler(local_entity(BUS), user, self._remote, NoTimers(), self._numbers)
         handler.put_request(
             PutRequest(GROUND, file, Path(name), TransmissionMode.ACKNOWLEDGED, True)
         )
@@ -127,7 +126,8 @@ class _Sender(User):
     def transaction_finished_indication(self, params: TransactionFinishedParams) -> None:
         end = params.finished_params
         self.arrived = (end.condition_code, end.delivery_code) == (
-            ConditionCode.NO_ERROR, DeliveryCode.DATA_COMPLETE,
+            ConditionCode.NO_ERROR,
+            DeliveryCode.DATA_COMPLETE,
         )
 
 

@@ -39,12 +39,16 @@ from spacepackets.cfdp.pdu.finished import DeliveryCode
 from spacepackets.cfdp.pdu.helper import GenericPduPacket
 
 _REFUSED = (
-    InvalidDestinationId, InvalidPduDirection, InvalidPduForDestHandler,
-    NoRemoteEntityConfigFound, PduIgnoredForDest,
+    InvalidDestinationId,
+    InvalidPduDirection,
+    InvalidPduForDestHandler,
+    NoRemoteEntityConfigFound,
+    PduIgnoredForDest,
 )
 # The steps in which a handler acknowledges the end of the file by itself.
 _ACKNOWLEDGING = (
-    DestTransactionStep.IDLE, DestTransactionStep.RECEIVING_FILE_DATA,
+    DestTransactionStep.IDLE,
+    DestTransactionStep.RECEIVING_FILE_DATA,
     DestTransactionStep.WAITING_FOR_METADATA,
 )
 
@@ -119,7 +123,8 @@ class Inbox(User):
     def transaction_finished_indication(self, params: TransactionFinishedParams) -> None:
         end = params.finished_params
         if (end.condition_code, end.delivery_code) != (
-            ConditionCode.NO_ERROR, DeliveryCode.DATA_COMPLETE,
+            ConditionCode.NO_ERROR,
+            DeliveryCode.DATA_COMPLETE,
         ):
             return
         partial, path = self._partial / self._name, self._folder / self._name

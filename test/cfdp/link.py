@@ -86,19 +86,23 @@ def local_entity(entity: ByteFieldU8) -> LocalEntityConfig:
 
 def remote_entity(entity: ByteFieldU8, timeout: float) -> RemoteEntityConfigTable:
     """Configure what one end knows of the other: class 2, and `timeout` seconds to answer."""
-    return RemoteEntityConfigTable([RemoteEntityConfig(
-        entity_id=entity,
-        max_file_segment_len=None,
-        max_packet_len=_LARGEST,
-        closure_requested=True,
-        crc_on_transmission=True,
-        default_transmission_mode=TransmissionMode.ACKNOWLEDGED,
-        crc_type=ChecksumType.CRC_32,
-        positive_ack_timer_interval_seconds=timeout,
-        positive_ack_timer_expiration_limit=_REPETITIONS,
-        nak_timer_interval_seconds=timeout,
-        nak_timer_expiration_limit=_REPETITIONS,
-    )])
+    return RemoteEntityConfigTable(
+        [
+            RemoteEntityConfig(
+                entity_id=entity,
+                max_file_segment_len=None,
+                max_packet_len=_LARGEST,
+                closure_requested=True,
+                crc_on_transmission=True,
+                default_transmission_mode=TransmissionMode.ACKNOWLEDGED,
+                crc_type=ChecksumType.CRC_32,
+                positive_ack_timer_interval_seconds=timeout,
+                positive_ack_timer_expiration_limit=_REPETITIONS,
+                nak_timer_interval_seconds=timeout,
+                nak_timer_expiration_limit=_REPETITIONS,
+            )
+        ]
+    )
 
 
 def _ignore(*_: Any) -> None:

@@ -61,7 +61,8 @@ def digests(folder: Path) -> dict[str, str]:
     """Give the sha256 of each file by its name in the folder."""
     return {
         str(path.relative_to(folder)): sha256(path.read_bytes()).hexdigest()
-        for path in folder.rglob('*') if path.is_file()
+        for path in folder.rglob('*')
+        if path.is_file()
     }
 
 
@@ -165,15 +166,24 @@ def test_the_two_programs_fill_the_gallery(tmp_path, capsys) -> None:
     lossy = ['--loss', str(LOSS), '--timeout', str(TIMEOUT)]
     with subprocess.Popen(
         [sys.executable, str(HERE / 'ground.py'), str(tmp_path / 'down'), '--port', '0', *lossy],
-        stdout=subprocess.PIPE, text=True,
+        stdout=subprocess.PIPE,
+        text=True,
     ) as ground:
         address = ground.stdout.readline().split()[-1]
         said = subprocess.run(
             [
-                sys.executable, str(HERE / 'bus.py'), str(tmp_path / 'outbox'), '--to', address,
-                '--once', *lossy,
+                sys.executable,
+                str(HERE / 'bus.py'),
+                str(tmp_path / 'outbox'),
+                '--to',
+                address,
+                '--once',
+                *lossy,
             ],
-            check=True, capture_output=True, text=True, timeout=60,
+            check=True,
+            capture_output=True,
+            text=True,
+            timeout=60,
         ).stdout
         ground.terminate()
     assert said.startswith('4 chips delivered, ')

@@ -51,8 +51,10 @@ def check(folder: Path, removal: bool, bus_is_first: bool) -> str:
     assert scene.troubles == [], scene.troubles
     scene.close()
     planned, delivered = (status.counts.get(name, 0) for name in ('planned', 'delivered'))
-    return f'planned {planned}, delivered {delivered}, refused {status.total("refused")}, ' \
+    return (
+        f'planned {planned}, delivered {delivered}, refused {status.total("refused")}, '
         f'evicted {status.total("evicted")}'
+    )
 
 
 def main() -> None:

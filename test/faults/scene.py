@@ -57,8 +57,9 @@ class Scene:
         frame = self.writer.plan(3)
         self.bus()
         # A full one: the least valuable goes.
-        self.writer.store(frame, [new_chip(0.9, 3000), new_chip(0.8, 3000), new_chip(0.0, 40_000)],
-                          {}, 100_000.0)
+        self.writer.store(
+            frame, [new_chip(0.9, 3000), new_chip(0.8, 3000), new_chip(0.0, 40_000)], {}, 100_000.0
+        )
         self.steps(2)
 
     def steps(self, number: int) -> None:
@@ -82,8 +83,12 @@ class Scene:
         with suppress(sqlite3.OperationalError):
             if files(self.on_board / 'spool'):
                 with database(self.on_board / 'spool') as rows:
-                    return {chip_id for (chip_id,) in rows.execute(
-                        'SELECT id FROM chips WHERE state = ?', [CLAIMED])}
+                    return {
+                        chip_id
+                        for (chip_id,) in rows.execute(
+                            'SELECT id FROM chips WHERE state = ?', [CLAIMED]
+                        )
+                    }
         return set()
 
     def recover(self, may_come_twice: set[str]) -> Status:

@@ -54,10 +54,15 @@ EXTREMES = [0.0, -0.0, 5e-324, 1e-308, 1e15, 1e150, 1e154, 1e155, 1.7e308, np.na
 
 
 SETTINGS = [
-    OBB_TO_HBB.settings({
-        'invalid_policy': policy, 'crop.merge_max_size': merged, 'clip_boxes': bool(merged),
-        'heading': 'theta' if merged else 'none', 'q_bow': 2.2,
-    })
+    OBB_TO_HBB.settings(
+        {
+            'invalid_policy': policy,
+            'crop.merge_max_size': merged,
+            'clip_boxes': bool(merged),
+            'heading': 'theta' if merged else 'none',
+            'q_bow': 2.2,
+        }
+    )
     for policy, merged in (('drop', 0), ('keep', 300))
 ]
 
@@ -119,7 +124,10 @@ def image_seed(source: random.Random) -> bytes:
     width, height = source.choice([0, 1, 7, 32]), source.choice([0, 1, 5, 16])
     step = width * source.choice([1, 2, 3, 4, 6]) + source.choice([0, 0, 3])
     image = Image(
-        width=width, height=height, step=step, encoding=encoding,
+        width=width,
+        height=height,
+        step=step,
+        encoding=encoding,
         data=array('B', bytes(step * height)),
     )
     return serialize_message(image)

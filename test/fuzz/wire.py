@@ -66,7 +66,8 @@ def seed_message(source: random.Random) -> bytes:
     """Write a sound message."""
     kinds = [
         Detection(
-            frame_id=source.choice(TEXTS), id=source.choice(TEXTS),
+            frame_id=source.choice(TEXTS),
+            id=source.choice(TEXTS),
             results=tuple(
                 Hypothesis(source.choice(TEXTS), source.random())
                 for _ in range(source.choice([0, 1, 1, 2, 5]))

@@ -40,8 +40,13 @@ def test_a_wheel_holds_code_data_and_ros_resources(source, tmp_path) -> None:
     (wheel,) = tmp_path.glob('*.whl')
     names = zipfile.ZipFile(wheel).namelist()
     assert all(any(name.endswith(f'/data/share/{path}') for name in names) for path in SHARE)
-    files = ['data/harbour.csv', 'labels/dota.py', 'nodes/obb_to_hbb.py', 'py.typed',
-             'study/templates/report.html']
+    files = [
+        'data/harbour.csv',
+        'labels/dota.py',
+        'nodes/obb_to_hbb.py',
+        'py.typed',
+        'study/templates/report.html',
+    ]
     for path in files:
         assert f'obbhbb_ros/{path}' in names
     assert not any(name.startswith('test') for name in names)
@@ -51,7 +56,10 @@ def test_colcon_builds_a_package_whose_executables_run(source) -> None:
     workspace = source.parents[1]
     subprocess.run(
         ['colcon', 'build', '--packages-select', 'obbhbb_ros'],
-        cwd=workspace, check=True, timeout=300, capture_output=True,
+        cwd=workspace,
+        check=True,
+        timeout=300,
+        capture_output=True,
     )
     install = workspace / 'install' / 'obbhbb_ros'
     assert all((install / 'share' / path).is_file() for path in SHARE)
@@ -60,7 +68,11 @@ def test_colcon_builds_a_package_whose_executables_run(source) -> None:
     # Not `autostart`ed with a wrong value: the node starts, finds it, and says so.
     finished = subprocess.run(
         [install / 'lib' / 'obbhbb_ros' / 'obb_to_hbb', '--ros-args', '-p', 'q:=0.5'],
-        env=environment, check=False, timeout=60, capture_output=True, text=True,
+        env=environment,
+        check=False,
+        timeout=60,
+        capture_output=True,
+        text=True,
     )
     assert finished.returncode == 1
     assert 'q out of range' in finished.stderr

@@ -12,8 +12,14 @@ DOWNLINK = ROOT / 'launch' / 'downlink.launch.py'
 CHAIN = ('obb_to_hbb', 'chip_extractor', 'downlink')
 NODES = (*CHAIN, 'overlay')
 CHAIN_TOPICS = (
-    'detections', 'polygons', 'camera_info', 'image', 'contact',
-    'boxes', 'crop_regions', 'crop_sources',
+    'detections',
+    'polygons',
+    'camera_info',
+    'image',
+    'contact',
+    'boxes',
+    'crop_regions',
+    'crop_sources',
 )
 TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions', 'crop_sources')
 LARGE = 'config/fastdds_large.xml'
@@ -36,9 +42,15 @@ def test_every_argument_of_the_conversion_node_counts(tmp_path: Path) -> None:
     file.write_text('/**: {ros__parameters: {q: 2.0}}\n')
     topics = {topic: f'/other/{topic}' for topic in TOPICS}
     given = {
-        'params_file': str(file), 'name': 'ships', 'namespace': 'sat/payload',
-        'log_level': 'warn', 'large_messages': 'true', **topics,
-        'respawn': 'false', 'respawn_delay': '0.5', 'state': '/data/state',
+        'params_file': str(file),
+        'name': 'ships',
+        'namespace': 'sat/payload',
+        'log_level': 'warn',
+        'large_messages': 'true',
+        **topics,
+        'respawn': 'false',
+        'respawn_delay': '0.5',
+        'state': '/data/state',
     }
     ran = launched(CONVERTER, given)
     assert set(ran.declared) == set(given)
@@ -58,7 +70,8 @@ def test_the_downlink_is_three_nodes_each_with_its_parameters(monkeypatch) -> No
     assert [node.executable for node in ran] == sorted(CHAIN)
     spool, outbox = (f'/home/of/ros/obbhbb/{folder}' for folder in ('spool', 'outbox'))
     folders = {
-        'chip_extractor': {'spool.path': spool}, 'obb_to_hbb': {},
+        'chip_extractor': {'spool.path': spool},
+        'obb_to_hbb': {},
         'downlink': {'spool.path': spool, 'outbox.path': outbox},
     }
     for node in ran:
@@ -78,9 +91,16 @@ def test_every_argument_of_the_downlink_counts(tmp_path: Path) -> None:
     topics = {topic: f'/other/{topic}' for topic in CHAIN_TOPICS}
     given = {
         'params_file': str(common),
-        'nodes': ' '.join(NODES), 'namespace': 'payload', 'large_messages': 'true',
-        'spool': '/data/spool', 'outbox': '/data/outbox', 'log_level': 'debug',
-        'respawn': 'false', 'respawn_delay': '2.0', 'state': '/data/state', **topics,
+        'nodes': ' '.join(NODES),
+        'namespace': 'payload',
+        'large_messages': 'true',
+        'spool': '/data/spool',
+        'outbox': '/data/outbox',
+        'log_level': 'debug',
+        'respawn': 'false',
+        'respawn_delay': '2.0',
+        'state': '/data/state',
+        **topics,
         **{f'{name}_params_file': str(file) for name, file in files.items()},
     }
     ran = launched(DOWNLINK, given)

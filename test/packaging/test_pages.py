@@ -38,7 +38,8 @@ SUBCOMMANDS = next(
     action.choices for action in PARSER._actions if isinstance(action, argparse._SubParsersAction)
 )
 EXECUTABLES = {
-    each.name for each in entry_points(group='console_scripts')
+    each.name
+    for each in entry_points(group='console_scripts')
     if each.value.startswith('obbhbb_ros.nodes.')
 }
 FENCE = re.compile(r'^ *```(\w*)\n(.*?)^ *```$', re.MULTILINE | re.DOTALL)
@@ -63,7 +64,8 @@ def named_in(text: str, start: str) -> list[str]:
     assert start in text, start
     table = re.compile(r'^\|.*\n\| ---.*\n((?:\|.*\n)+)', re.M).search(text, text.index(start))
     return [
-        code for row in table[1].replace(r'\|', '/').splitlines()
+        code
+        for row in table[1].replace(r'\|', '/').splitlines()
         for code in re.findall('`([^`]+)`', row.split('|')[1])
     ]
 
@@ -76,6 +78,7 @@ def section(text: str, title: str) -> str:
 
 
 # Links ----------------------------------------------------------------------------------------
+
 
 def anchors(path: Path) -> set[str]:
     """Give the anchors that GitHub makes of a page's headings."""
@@ -90,7 +93,8 @@ def anchors(path: Path) -> set[str]:
 
 
 LINKS = [
-    (page, target) for page in PAGES
+    (page, target)
+    for page in PAGES
     for target in re.findall(r'\]\(([^)\s]+)\)', re.sub('`[^`\n]*`', '', prose(page)))
     if not target.startswith('http')
 ]
@@ -112,7 +116,8 @@ def test_every_page_can_be_reached_from_the_readme_and_the_index() -> None:
     for start in (README, ROOT / 'doc' / 'index.md'):
         linked = {
             (page.parent / target.partition('#')[0]).resolve()
-            for page, target in LINKS if page == start
+            for page, target in LINKS
+            if page == start
         }
         assert set(DOC) - {ROOT / 'doc' / 'index.md'} <= linked
 
@@ -122,12 +127,18 @@ def test_the_readme_is_short_and_begins_with_the_two_commands() -> None:
     assert len(lines) <= 190
     (_, first), *_ = FENCE.findall(text_of(README))
     assert [line.split()[0] for line in first.splitlines()] == ['./scripts/demo', './scripts/test']
-    assert lines.index('./scripts/demo    # sets everything up, then converts a synthetic harbour '
-                       'with the real node') < 10
+    assert (
+        lines.index(
+            './scripts/demo    # sets everything up, then converts a synthetic harbour '
+            'with the real node'
+        )
+        < 10
+    )
 
 
 FILES = [
-    (page, path) for page in [README, ROOT / 'QUALITY_DECLARATION.md', *DOC]
+    (page, path)
+    for page in [README, ROOT / 'QUALITY_DECLARATION.md', *DOC]
     for path in re.findall(
         r'`((?:\./)?(?:config|doc|launch|scripts|test|\.ci)/[\w./-]*)`', prose(page)
     )
@@ -140,6 +151,7 @@ def test_a_file_that_is_named_exists(page: Path, path: str) -> None:
 
 
 # Commands -------------------------------------------------------------------------------------
+
 
 def commands(page: Path) -> list[list[str]]:
     """Give the command lines of a page, as the words that a shell makes of them."""
@@ -168,10 +180,11 @@ SHOWN = [(page, command) for page in PAGES for command in commands(page)]
 
 def shown(*start: str) -> pytest.MarkDecorator:
     """Give the test every command that begins like that."""
-    found = [(page, words) for page, words in SHOWN if words[:len(start)] == list(start)]
+    found = [(page, words) for page, words in SHOWN if words[: len(start)] == list(start)]
     assert found, start
     return pytest.mark.parametrize(
-        'words', [words for _, words in found],
+        'words',
+        [words for _, words in found],
         ids=[f'{name_of(page)} {shlex.join(words)}' for page, words in found],
     )
 
@@ -231,9 +244,10 @@ def test_every_option_of_a_subcommand_is_documented_and_no_other(name: str) -> N
     labels = section(page, 'Label files')
     parts = [section(page, f'`obbhbb {name}`'), labels if f'`{name}`' in labels else '']
     documented = [each for part in parts if part for each in named_in(part, '| option |')]
-    real = {
-        option for action in SUBCOMMANDS[name]._actions for option in action.option_strings
-    } - {'-h', '--help'}
+    real = {option for action in SUBCOMMANDS[name]._actions for option in action.option_strings} - {
+        '-h',
+        '--help',
+    }
     assert sorted(each.split(maxsplit=1)[0] for each in documented) == sorted(real)
 
 
@@ -279,7 +293,8 @@ def test_every_argument_of_a_launch_file_is_documented(file: Path) -> None:
 
 
 SCRIPTS = [
-    (page, words) for page, words in SHOWN
+    (page, words)
+    for page, words in SHOWN
     if re.match(r'\./scripts/|(\.venv/bin/)?python$', words[0])
 ]
 
@@ -296,11 +311,15 @@ def test_a_script_or_module_that_is_run_exists(words: list[str]) -> None:
 
 # Code and parameter files ---------------------------------------------------------------------
 
+
 def blocks(language: str, *left_out: str) -> pytest.MarkDecorator:
     """Give the test every code block of a language."""
     found = [
-        (page, block) for page in PAGES if page.stem not in left_out
-        for kind, block in FENCE.findall(text_of(page)) if kind == language
+        (page, block)
+        for page in PAGES
+        if page.stem not in left_out
+        for kind, block in FENCE.findall(text_of(page))
+        if kind == language
     ]
     assert found, language
     return pytest.mark.parametrize(
@@ -329,8 +348,7 @@ def test_a_parameter_file_that_is_shown_can_be_used(block: str) -> None:
     given = dict(flat(content['ros__parameters']))
     classes = '|'.join(given.get('class_ids', ['none']))
     specs = {
-        spec.name: spec
-        for table in NODE_TABLES.values() for spec in table.rows + table.class_rows
+        spec.name: spec for table in NODE_TABLES.values() for spec in table.rows + table.class_rows
     }
     for name, value in given.items():
         spec = specs[re.sub(rf'^classes\.({classes})\.', 'classes.<id>.', name)]
@@ -360,7 +378,9 @@ def test_the_topics_of_a_page_are_those_of_the_security_policy(node: str) -> Non
     for title, action in (('Subscribed', 'subscribe'), ('Published', 'publish')):
         (topics,) = policy.iterfind(f".//profile[@node='{node}']/topics[@{action}='ALLOW']")
         allowed = {topic.text for topic in topics} - {
-            '~/transition_event', '/parameter_events', '/rosout',
+            '~/transition_event',
+            '/parameter_events',
+            '/rosout',
         }
         # Instead of `detections`, which the policy has.
         named = set(named_in(page, f'## {title} topics\n')) - {'polygons'}
@@ -385,7 +405,8 @@ def test_the_topics_of_the_player_stand_in_its_code() -> None:
         ('chip_extractor', 'unpaired', {each.value for each in Unpaired}),
         ('overlay', 'frames', {each.value for each in NotDrawn}),
         (
-            'chip_extractor', 'chips',
+            'chip_extractor',
+            'chips',
             {each.value for each in Dropped}
             | {'image_refused', 'no_subscriber', 'failed', 'crop_plan_<reason>'},
         ),

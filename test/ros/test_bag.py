@@ -162,8 +162,12 @@ def test_a_bag_recorded_from_the_player_gets_the_bytes_of_the_live_node(
     infos = node.peer.collect(CameraInfo, 'camera_info', RELIABLE, raw=True)
     inputs = node.peer.collect(message_type(INPUT_TYPES[talk.kind]), talk.topic, raw=True)
     parameters = {
-        'path': DATA / 'real_ships.csv', 'output_type': talk.kind, 'rate': 50.0,
-        'image_width': 1200, 'image_height': 800, 'wait_for_subscribers': 2,
+        'path': DATA / 'real_ships.csv',
+        'output_type': talk.kind,
+        'rate': 50.0,
+        'image_width': 1200,
+        'image_height': 800,
+        'wait_for_subscribers': 2,
     }
     player = site.start('play_detections', parameters=parameters, namespace=node.namespace)
     try:

@@ -139,7 +139,7 @@ def test_image_and_plan_may_come_in_either_order(node: ChipNode, image_first: bo
 
 
 def test_what_never_meets_comes_twice_or_has_no_stamp_is_counted_and_nothing_stalls(
-    node: ChipNode
+    node: ChipNode,
 ) -> None:
     before = node.counts()
     image = image_message('mono8', np.zeros((8, 8), np.uint8), Header())
@@ -178,7 +178,8 @@ def test_what_never_meets_comes_twice_or_has_no_stamp_is_counted_and_nothing_sta
     assert changed['chips_sent'] == 1
     dropped = {name: n for name, n in changed.items() if name.startswith('chips_dropped.')}
     assert dropped == {
-        'chips_dropped.crop_plan_expired': 15, 'chips_dropped.crop_plan_zero_stamp': 1,
+        'chips_dropped.crop_plan_expired': 15,
+        'chips_dropped.crop_plan_zero_stamp': 1,
         'chips_dropped.crop_plan_duplicate': 1,
     }
     assert 'chips_waiting' not in changed
@@ -190,7 +191,7 @@ def test_what_never_meets_comes_twice_or_has_no_stamp_is_counted_and_nothing_sta
 
 
 def test_an_image_that_cannot_be_cut_is_refused_with_a_reason_and_the_node_lives(
-    node: ChipNode
+    node: ChipNode,
 ) -> None:
     before = node.counts()
     node.send(np.zeros((8, 8, 4), np.uint8), '32FC1', [(0, 0, 4, 4)])
@@ -247,7 +248,7 @@ def test_settings_that_do_not_fit_are_refused_and_change_nothing(node: ChipNode)
 
 
 def test_the_budget_of_the_link_holds_and_every_chip_is_accounted_for(
-    start: Callable[..., ChipNode]
+    start: Callable[..., ChipNode],
 ) -> None:
     rate, burst = 20_000.0, 10_000.0
     node = start(codec='png')
@@ -290,7 +291,7 @@ def test_the_budget_of_the_link_holds_and_every_chip_is_accounted_for(
 
 
 def test_an_inactive_node_sends_nothing_and_what_waited_is_counted(
-    start: Callable[..., ChipNode]
+    start: Callable[..., ChipNode],
 ) -> None:
     # The plan waits as long as it takes to be deactivated.
     node = start(**{'codec': 'png', 'cache.max_age': 60.0})
@@ -352,7 +353,7 @@ def send_through_a_stall(node: ChipNode, stall: float) -> None:
 
 
 def test_a_bag_that_loops_gives_its_chips_each_time_and_says_so(
-    start: Callable[..., ChipNode]
+    start: Callable[..., ChipNode],
 ) -> None:
     node = start(codec='png')
     node.connect()

@@ -85,16 +85,22 @@ def test_the_example_of_the_page_pairs_a_hundred_chips_per_frame(
     path = os.environ.get('PYTHONPATH', '')
     if importlib.util.find_spec('message_filters') is None:
         path = os.pathsep.join(filter(None, (path, str(ROOT / 'test' / 'stand_ins'))))
-    with (tmp_path / 'out').open('w') as out, subprocess.Popen(
-        [sys.executable, 'example.py', '--ros-args', '-r', f'__ns:={node.namespace}'],
-        cwd=tmp_path, stdout=out, env={**os.environ, 'PYTHONPATH': path},
-    ) as example:
+    with (
+        (tmp_path / 'out').open('w') as out,
+        subprocess.Popen(
+            [sys.executable, 'example.py', '--ros-args', '-r', f'__ns:={node.namespace}'],
+            cwd=tmp_path,
+            stdout=out,
+            env={**os.environ, 'PYTHONPATH': path},
+        ) as example,
+    ):
         try:
             count = node.peer.node.count_subscribers
             node.wait(
-                lambda: all(
-                    count(f'chip/{name}') == 2 for name in ('compressed', 'camera_info')
-                ) and count('chip/detections') == 2,
+                lambda: (
+                    all(count(f'chip/{name}') == 2 for name in ('compressed', 'camera_info'))
+                    and count('chip/detections') == 2
+                ),
                 'the example',
             )
             # The node's end knows of it a little later.
@@ -108,20 +114,22 @@ def test_the_example_of_the_page_pairs_a_hundred_chips_per_frame(
                 send(node, 100, frames[-1])
             lines = {
                 f'{f.stamp.sec} {f.stamp.nanosec} id {i} class {i % 5} {1.0 - i / 1000} '
-                for f in frames for i in range(100)
+                for f in frames
+                for i in range(100)
             }
             node.wait(
-                lambda: sum(
-                    ' 999999950 ' in line
-                    for line in (tmp_path / 'out').read_text().splitlines()
-                ) == 300,
+                lambda: (
+                    sum(
+                        ' 999999950 ' in line
+                        for line in (tmp_path / 'out').read_text().splitlines()
+                    )
+                    == 300
+                ),
                 'three hundred chips',
             )
         finally:
             example.kill()
-    told = [
-        line for line in (tmp_path / 'out').read_text().splitlines() if ' 999999950 ' in line
-    ]
+    told = [line for line in (tmp_path / 'out').read_text().splitlines() if ' 999999950 ' in line]
     sizes = {}
     for line in told:
         (start,) = (each for each in lines if line.startswith(each))
@@ -144,7 +152,8 @@ def test_no_two_chips_share_a_stamp_though_frames_are_nanoseconds_apart(node: Ch
 
     def of_both(messages: list[Any]) -> dict[tuple[int, int], Any]:
         return {
-            (each.header.stamp.sec, each.header.stamp.nanosec): each for each in messages
+            (each.header.stamp.sec, each.header.stamp.nanosec): each
+            for each in messages
             if each.header.frame_id in {'a', 'b'}
         }
 
@@ -162,8 +171,13 @@ def test_no_two_chips_share_a_stamp_though_frames_are_nanoseconds_apart(node: Ch
 
 def camera(width: int, height: int) -> CameraInfo:
     return CameraInfo(
-        width=width, height=height, distortion_model='plumb_bob', d=[0.1, 0.2, 0.3, 0.4, 0.5],
-        k=np.arange(9.0), r=np.arange(9.0) + 10, p=np.arange(12.0) + 20,
+        width=width,
+        height=height,
+        distortion_model='plumb_bob',
+        d=[0.1, 0.2, 0.3, 0.4, 0.5],
+        k=np.arange(9.0),
+        r=np.arange(9.0) + 10,
+        p=np.arange(12.0) + 20,
     )
 
 
@@ -188,7 +202,7 @@ def test_the_camera_of_the_image_is_that_of_the_chip_with_its_place(node: ChipNo
 
 
 def test_the_place_is_in_pixels_of_the_camera_if_the_image_is_a_part_of_it_or_binned(
-    node: ChipNode
+    node: ChipNode,
 ) -> None:
     info = camera(4000, 3000)
     info.binning_x, info.binning_y = 2, 3
@@ -231,17 +245,24 @@ def test_stamps_that_differ_by_no_more_than_the_slop_are_paired(node: ChipNode) 
 
 def test_the_source_of_a_region_is_its_most_valuable_detection(site: Site) -> None:
     parameters = {
-        'image_width': SIDE, 'image_height': SIDE, 'crop.merge_max_size': 400,
-        'class_ids': ['tug'], 'classes.tug.weight': 10.0,
+        'image_width': SIDE,
+        'image_height': SIDE,
+        'crop.merge_max_size': 400,
+        'class_ids': ['tug'],
+        'classes.tug.weight': 10.0,
     }
     with Converter(site, parameters=parameters) as converter:
         sources = converter.peer.collect(Detection2DArray, 'crop_sources')
         regions = converter.peer.collect(Detection2DArray, 'crop_regions')
         converter.connect(sources)
         converter.connect(regions)
-        message = detections([
-            (100, 100, 60, 30, 0.3), (105, 100, 14, 30, 0.3), (600, 600, 80, 30, -0.5),
-        ])
+        message = detections(
+            [
+                (100, 100, 60, 30, 0.3),
+                (105, 100, 14, 30, 0.3),
+                (600, 600, 80, 30, -0.5),
+            ]
+        )
         for detection, (name, score) in zip(
             message.detections, [('ship', 0.9), ('tug', 0.4), ('ship', 0.8)], strict=True
         ):
@@ -272,7 +293,8 @@ def test_a_camera_with_a_region_that_no_message_can_hold_is_refused(node: ChipNo
     publisher = node.peer.publisher(CameraInfo, 'camera_info')
     node.send_until(
         lambda: publisher.publish(info),
-        lambda: 'a region of interest up to' in node.next_report().message, 'the warning',
+        lambda: 'a region of interest up to' in node.next_report().message,
+        'the warning',
     )
     assert node.counts()['messages_unreadable']
 
@@ -281,7 +303,8 @@ def test_a_camera_that_cannot_be_read_costs_no_chip(node: ChipNode) -> None:
     publisher = node.peer.publisher(CameraInfo, 'camera_info')
     node.send_until(
         lambda: publisher.publish(b'\0\1\0\0' + bytes(5)),
-        lambda: node.counts()['messages_unreadable'], 'it is counted',
+        lambda: node.counts()['messages_unreadable'],
+        'it is counted',
     )
     node.send(WHITE, 'mono8', [(0, 0, 4, 4)])
     node.wait(lambda: node.chips, 'a chip')

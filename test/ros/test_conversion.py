@@ -114,9 +114,7 @@ def test_angles_may_be_degrees(node: Converter) -> None:
     ],
     ids=['length', 'width', 'both', 'metres'],
 )
-def test_caps_bound_the_boxes(
-    node: Converter, parameters: dict[str, float], caps: Caps
-) -> None:
+def test_caps_bound_the_boxes(node: Converter, parameters: dict[str, float], caps: Caps) -> None:
     node.set(parameters)
     answer = rows_of(node.convert(detections(fleet(20))))
     np.testing.assert_array_equal(answer, axis_aligned(fleet(20), caps=caps))
@@ -211,9 +209,7 @@ def parts(value: Any) -> Iterator[tuple[str, Any]]:
             yield from parts(getattr(value, name))
 
 
-def test_a_late_subscriber_gets_the_messages_from_then_on(
-    start: Callable[..., Converter]
-) -> None:
+def test_a_late_subscriber_gets_the_messages_from_then_on(start: Callable[..., Converter]) -> None:
     node = start(listen=False)
     before = node.send(detections(fleet(1)))
     node.boxes = node.peer.collect(Detection2DArray, 'boxes')

@@ -81,7 +81,7 @@ def test_a_box_on_whole_pixels_is_its_own_region(crops: Crops) -> None:
 
 
 def test_regions_are_whole_pixels_in_the_image_around_what_is_in_it_of_the_box(
-    crops: Crops
+    crops: Crops,
 ) -> None:
     ships = fleet(200)
     message = crops(ships)
@@ -119,9 +119,7 @@ def test_a_class_has_its_own_hull_and_minimum_score(crops: Crops) -> None:
     assert ids(got) == ['2', '1']
     boxes = OrientedBoxes.from_xywhr([(110.0, 100.0, 20.0, 10.0, 0.3)])
     outer = convert(boxes, 'outer')[0]
-    np.testing.assert_array_equal(
-        corners(got)[1], [*np.floor(outer[:2]), *np.ceil(outer[2:])]
-    )
+    np.testing.assert_array_equal(corners(got)[1], [*np.floor(outer[:2]), *np.ceil(outer[2:])])
 
 
 def test_low_scores_and_classes_of_no_weight_are_left_out_and_counted(
@@ -132,7 +130,8 @@ def test_low_scores_and_classes_of_no_weight_are_left_out_and_counted(
     got = crops(scored([0.3, 0.6, 0.9]), crop__min_score=0.5, classes__class2__weight=0.0)
     assert ids(got) == ['1']
     assert node.counts().since(before, 'crops_left_out') == {
-        'crops_left_out.min_score': 1, 'crops_left_out.zero_weight': 1,
+        'crops_left_out.min_score': 1,
+        'crops_left_out.zero_weight': 1,
     }
 
 
@@ -182,8 +181,11 @@ def test_header_ids_and_hypotheses_are_kept(crops: Crops) -> None:
 
 
 def test_a_merged_region_has_the_ids_and_hypotheses_of_all_it_was_made_from(crops: Crops) -> None:
-    rows = [(100.0, 100.0, 40.0, 20.0, 0.0), (300.0, 300.0, 40.0, 20.0, 0.0),
-            (102.0, 100.0, 40.0, 20.0, 0.0)]
+    rows = [
+        (100.0, 100.0, 40.0, 20.0, 0.0),
+        (300.0, 300.0, 40.0, 20.0, 0.0),
+        (102.0, 100.0, 40.0, 20.0, 0.0),
+    ]
     given = detections(rows)
     for each, name, score in zip(given.detections, 'abc', (0.5, 0.7, 0.6), strict=True):
         each.id, each.header.frame_id = name, f'tile_{name}'
@@ -201,9 +203,7 @@ def test_sides_are_multiples_of_the_block_of_a_codec(crops: Crops) -> None:
     np.testing.assert_array_equal(sizes, [(32, 16)])
 
 
-def test_pixels_are_bounded_and_what_is_left_out_is_counted(
-    crops: Crops, node: Converter
-) -> None:
+def test_pixels_are_bounded_and_what_is_left_out_is_counted(crops: Crops, node: Converter) -> None:
     before = node.counts()
     got = crops(scored([0.5, 0.9, 0.7, 0.1]), crop__max_pixels=700)
     area = np.prod(corners(got)[:, 2:] - corners(got)[:, :2], axis=1).sum()
@@ -245,16 +245,23 @@ def test_regions_follow_the_method(crops: Crops) -> None:
 def test_invalid_detections_and_those_outside_have_no_region(
     crops: Crops, node: Converter, policy: str
 ) -> None:
-    message = detections([
-        SHIP, (float('nan'), 50.0, 20.0, 10.0, 0.0), (100.0, 50.0, -20.0, 10.0, 0.0),
-        (-500.0, 50.0, 20.0, 10.0, 0.0), (100.0, 5000.0, 20.0, 10.0, 0.0),
-    ])
+    message = detections(
+        [
+            SHIP,
+            (float('nan'), 50.0, 20.0, 10.0, 0.0),
+            (100.0, 50.0, -20.0, 10.0, 0.0),
+            (-500.0, 50.0, 20.0, 10.0, 0.0),
+            (100.0, 5000.0, 20.0, 10.0, 0.0),
+        ]
+    )
     before = node.counts()
     got = crops(message, invalid_policy=policy)
     np.testing.assert_array_equal(corners(got), [(90, 45, 111, 56)])
     counts = node.counts().since(before, 'crops_')
     assert counts == {
-        'crops_planned': 1, 'crops_left_out.invalid': 2, 'crops_left_out.outside_image': 2,
+        'crops_planned': 1,
+        'crops_left_out.invalid': 2,
+        'crops_left_out.outside_image': 2,
     }
 
 
@@ -278,6 +285,7 @@ def test_boxes_are_the_same_whether_or_not_crops_are_wanted(crops: Crops, node: 
 
 # The size of the image ------------------------------------------------------------------------
 
+
 @pytest.fixture
 def unsized(start: Callable[..., Converter]) -> Converter:
     """A node that does not know how large the image is."""
@@ -300,7 +308,7 @@ def seen(node: Converter, crops: list[Any], camera: Any, message: CameraInfo) ->
 
 
 def test_without_the_size_of_the_image_there_are_no_regions_but_a_warning(
-    unsized: Converter
+    unsized: Converter,
 ) -> None:
     crops = unsized.peer.collect(Detection2DArray, 'crop_regions')
     # Until the node knows of the subscriber it has no reason to warn.

@@ -75,8 +75,15 @@ def test_the_bag_holds_the_whole_chain(recorded: Recording) -> None:
     assert chips > images
     assert found == {
         **dict.fromkeys(
-            ('/image', '/camera_info', '/detections', '/boxes', '/crop_regions',
-             '/overlay/compressed'), images,
+            (
+                '/image',
+                '/camera_info',
+                '/detections',
+                '/boxes',
+                '/crop_regions',
+                '/overlay/compressed',
+            ),
+            images,
         ),
         **{f'/overlay/markers/{layer}': images for layer in LAYER_COLORS},
         '/overlay/markers': len(LAYER_COLORS) * images,
@@ -88,7 +95,8 @@ def test_the_bag_holds_the_whole_chain(recorded: Recording) -> None:
 def test_all_of_a_frame_has_its_stamp(recorded: Recording) -> None:
     stamps = {
         topic: {data[4:12] for data in messages}
-        for topic, messages in by_topic(recorded).items() if not topic.startswith('/chip/')
+        for topic, messages in by_topic(recorded).items()
+        if not topic.startswith('/chip/')
     }
     assert len(stamps['/image']) > 1
     assert all(each == stamps['/image'] for each in stamps.values())
@@ -127,9 +135,7 @@ def test_the_type_hashes_in_the_bag_are_those_of_ros(
     node.destroy_node()
 
 
-def test_pictures_in_the_bag_are_jpeg_files_and_say_so(
-    recorded: Recording, folder: Path
-) -> None:
+def test_pictures_in_the_bag_are_jpeg_files_and_say_so(recorded: Recording, folder: Path) -> None:
     found = by_topic(recorded)
     for topic in ('/overlay/compressed', '/chip/compressed'):
         for data in found[topic]:

@@ -61,7 +61,8 @@ def test_rates_are_those_since_the_report_before(node: Converter) -> None:
     def with_messages() -> list[tuple[DiagnosticArray, DiagnosticArray]]:
         # In some period we may have stood still.
         return [
-            (one, other) for one, other in pairwise(node.reports())
+            (one, other)
+            for one, other in pairwise(node.reports())
             if 'messages_received' in Counts(other.status[0]).since(Counts(one.status[0]))
         ]
 
@@ -108,7 +109,8 @@ def test_trouble_is_a_warning_in_the_next_report_and_no_longer(node: Converter) 
 
     def reports_of_it() -> list[DiagnosticStatus]:
         return [
-            each.status[0] for each in node.reports()
+            each.status[0]
+            for each in node.reports()
             if Counts(each.status[0]).since(before, 'detections_dropped')
         ]
 
@@ -122,7 +124,7 @@ def test_trouble_is_a_warning_in_the_next_report_and_no_longer(node: Converter) 
 
 
 def test_silence_is_an_error_and_then_stale_until_input_comes(
-    start: Callable[..., Converter]
+    start: Callable[..., Converter],
 ) -> None:
     node = start()
     node.connect()
@@ -141,7 +143,7 @@ def test_silence_is_an_error_and_then_stale_until_input_comes(
 
 
 def test_no_input_is_expected_while_inactive_or_without_a_timeout(
-    start: Callable[..., Converter]
+    start: Callable[..., Converter],
 ) -> None:
     node = start(parameters={'input_timeout': 0.1, 'autostart': False})
     node.change_state(Transition.TRANSITION_CONFIGURE)
@@ -154,7 +156,7 @@ def test_no_input_is_expected_while_inactive_or_without_a_timeout(
 
 
 def test_a_silent_node_that_is_deactivated_does_not_say_that_input_is_back(
-    start: Callable[..., Converter]
+    start: Callable[..., Converter],
 ) -> None:
     node = start()
     node.connect()

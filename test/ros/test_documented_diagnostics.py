@@ -32,12 +32,19 @@ def test_every_key_of_the_conversion_node_is_explained(start: Callable[..., Conv
     # The node may know of the subscriber of crop regions a little later.
     node.send_until(
         lambda: node.send(detections(fleet(3))),
-        lambda: node.counts()['messages_without_image_size'], 'a message without image size',
+        lambda: node.counts()['messages_without_image_size'],
+        'a message without image size',
     )
-    node.set({
-        'image_width': 1000, 'image_height': 1000, 'crop.compare_outer': True,
-        'crop.merge_max_size': 1000, 'crop.max_count': 1, 'class_ids': ['tug'],
-    })
+    node.set(
+        {
+            'image_width': 1000,
+            'image_height': 1000,
+            'crop.compare_outer': True,
+            'crop.merge_max_size': 1000,
+            'crop.max_count': 1,
+            'class_ids': ['tug'],
+        }
+    )
     node.connect(answers)
     node.convert(detections([*fleet(50), NAN, OUTSIDE]))
     node.set({'invalid_policy': 'keep', 'crop.max_count': 0, 'crop.max_pixels': 1})
@@ -48,8 +55,12 @@ def test_every_key_of_the_conversion_node_is_explained(start: Callable[..., Conv
     node.wait(lambda: node.counts()['messages_while_inactive'], 'a message while inactive')
     keys = values_of(node.next_report())
     assert {
-        'messages_unreadable', 'messages_without_image_size', 'detections_kept.not_finite',
-        'crop_pixels.saved_percent', 'crops_merged_away', 'crops_left_out.max_count',
+        'messages_unreadable',
+        'messages_without_image_size',
+        'detections_kept.not_finite',
+        'crop_pixels.saved_percent',
+        'crops_merged_away',
+        'crops_left_out.max_count',
     } <= set(keys)
     assert not unexplained(keys, 'obb_to_hbb.md')
 
@@ -64,8 +75,11 @@ def test_every_key_of_the_chip_node_is_explained(site: Site) -> None:
         node.images.publish(b'\0\1\0\0' + bytes(5))
         node.send_plan([(0, 0, 4, 4)], node.stamp())
         node.wait(
-            lambda: node.counts()['chips_dropped.image_refused']
-            and node.counts()['messages_unreadable'], 'the frames',
+            lambda: (
+                node.counts()['chips_dropped.image_refused']
+                and node.counts()['messages_unreadable']
+            ),
+            'the frames',
         )
         # Not before, as image and plan of a frame may come with a pause.
         node.set({'cache.max_age': 0.5})
@@ -73,8 +87,12 @@ def test_every_key_of_the_chip_node_is_explained(site: Site) -> None:
         assert not node.counts()['chips_waiting']
         keys = node.counts()
         assert {
-            'messages_unreadable', 'chips_dropped.image_refused', 'chips_dropped.frame_max_chips',
-            'chips_dropped.outside_image', 'crop_plans_dropped.expired', 'budget_available',
+            'messages_unreadable',
+            'chips_dropped.image_refused',
+            'chips_dropped.frame_max_chips',
+            'chips_dropped.outside_image',
+            'crop_plans_dropped.expired',
+            'budget_available',
         } <= set(keys)
         assert not unexplained(keys, 'chip_extractor.md')
 
@@ -90,7 +108,12 @@ def test_every_key_of_the_overlay_node_is_explained(site: Site) -> None:
         node.wait(lambda: node.counts()['frames_dropped.no_image'], 'a lonely layer')
         keys = values_of(node.next_report())
         assert {
-            'messages_unreadable', 'images_refused', 'layers_missing.crop_regions', 'watched',
-            'boxes_not_drawn', 'labels_left_out', 'latency_p50_ms',
+            'messages_unreadable',
+            'images_refused',
+            'layers_missing.crop_regions',
+            'watched',
+            'boxes_not_drawn',
+            'labels_left_out',
+            'latency_p50_ms',
         } <= set(keys)
         assert not unexplained(keys, 'overlay.md')

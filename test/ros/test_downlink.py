@@ -73,10 +73,13 @@ class Chain(ExitStack):
         """Start the node; close it to start another."""
         node = Node(self.site, 'downlink', self.chips.namespace)
         self.enter_context(node)
-        node.start(parameters={
-            'spool.path': self.spool, 'outbox.path': self.outbox,
-            **{name.replace('__', '.'): value for name, value in parameters.items()},
-        })
+        node.start(
+            parameters={
+                'spool.path': self.spool,
+                'outbox.path': self.outbox,
+                **{name.replace('__', '.'): value for name, value in parameters.items()},
+            }
+        )
         return node
 
     def store(self, scores: list[float]) -> None:
@@ -95,7 +98,8 @@ class Chain(ExitStack):
         """Give the books of the spool, and check that they balance."""
         books = self.chips.counts()
         balance = books['spool.planned'] - sum(
-            n for name, n in books.items()
+            n
+            for name, n in books.items()
             if name in ('spool.delivered', 'spool.waiting', 'spool.in_outbox', 'spool.in_work')
             or name.startswith(('spool.evicted.', 'spool.refused.'))
         )
@@ -145,7 +149,8 @@ def test_what_is_stored_is_released_with_everything_that_is_known_of_it(
             return counts['chips_stored'] > counts['plans_without_sources']
 
         chips.send_until(
-            lambda: send(detections([(100, 100, 8, 8, 0)])), is_connected,
+            lambda: send(detections([(100, 100, 8, 8, 0)])),
+            is_connected,
             'a chip that was planned by the other node',
         )
         ships = [(60, 50, 50, 16, 0.4), (150, 160, 70, 20, -1.2), (200, 40, 20, 60, 0.1)]
@@ -160,7 +165,8 @@ def test_what_is_stored_is_released_with_everything_that_is_known_of_it(
         number = send(message)
         chips.wait(
             # A frame from before may be among them.
-            lambda: chips.counts().since(before).get('chips_stored', 0) >= 3, 'three chips stored'
+            lambda: chips.counts().since(before).get('chips_stored', 0) >= 3,
+            'three chips stored',
         )
         downlink.start(parameters={'spool.path': spool, 'outbox.path': outbox})
         found = []
@@ -180,8 +186,10 @@ def test_what_is_stored_is_released_with_everything_that_is_known_of_it(
         i = int(detection.id.split()[1])
         box = detection.bbox
         roi = [
-            round(box.center.position.x - box.size_x / 2), round(
-                box.center.position.y - box.size_y / 2), round(box.size_x), round(box.size_y),
+            round(box.center.position.x - box.size_x / 2),
+            round(box.center.position.y - box.size_y / 2),
+            round(box.size_x),
+            round(box.size_y),
         ]
         x, y, along, across, theta = ships[i]
         length, width = max(along, across), min(along, across)
@@ -196,10 +204,18 @@ def test_what_is_stored_is_released_with_everything_that_is_known_of_it(
         stamp = {'sec': message.header.stamp.sec, 'nanosec': message.header.stamp.nanosec}
         score = (0.7, 0.9, 0.6)[i]
         assert facts == {
-            'id': chip.stem, 'stamp': stamp, 'frame_id': 'camera', 'roi': roi,
-            'image_size': [256, 256], 'class_id': ('tug', 'ferry', 'barge')[i], 'score': score,
-            'value': score, 'detection_ids': [f'track {i}'], 'codec': 'png',
-            'camera_matrix': list(range(1, 10)), 'bytes': chip.stat().st_size,
+            'id': chip.stem,
+            'stamp': stamp,
+            'frame_id': 'camera',
+            'roi': roi,
+            'image_size': [256, 256],
+            'class_id': ('tug', 'ferry', 'barge')[i],
+            'score': score,
+            'value': score,
+            'detection_ids': [f'track {i}'],
+            'codec': 'png',
+            'camera_matrix': list(range(1, 10)),
+            'bytes': chip.stat().st_size,
             'sha256': hashlib.sha256(chip.read_bytes()).hexdigest(),
         }
 
@@ -210,7 +226,9 @@ def test_release_waits_for_contact_and_goes_by_value_then_age(chain: Chain) -> N
     chain.chips.wait(lambda: chain.books()['spool.waiting'] >= 5, 'chips in the spool')
     # A chip costs 0.7 kB. Released with pauses, as the clock of files ticks every few milliseconds.
     node = chain.downlink(
-        contact='topic', outbox__levels=[0.8, 0.4], budget__bytes_per_second=4000.0,
+        contact='topic',
+        outbox__levels=[0.8, 0.4],
+        budget__bytes_per_second=4000.0,
         budget__burst=1200.0,
     )
     node.wait(
@@ -223,9 +241,7 @@ def test_release_waits_for_contact_and_goes_by_value_then_age(chain: Chain) -> N
         contact.publish(Bool(data=True))
         node.wait(lambda: node.counts()['spool.waiting'] == 0, 'all released')
         contact.publish(Bool(data=False))
-        node.wait(
-            lambda: values_of(node.next_report())['contact'] == 'false', 'the end of contact'
-        )
+        node.wait(lambda: values_of(node.next_report())['contact'] == 'false', 'the end of contact')
         chain.store([0.99])
         chain.chips.wait(lambda: chain.books()['spool.waiting'] == 1, 'one more')
     times = [path.stat().st_mtime_ns for path in chain.outbox.glob(COMPLETE)]
@@ -347,9 +363,7 @@ def test_a_spool_has_one_downlink(chain: Chain) -> None:
     node.wait(lambda: node.counts()['spool.waiting'] == 0, 'a release')
     second = Node(chain.site, 'downlink')
     with second:
-        second.start(
-            parameters={'spool.path': chain.spool, 'outbox.path': chain.outbox / 'second'}
-        )
+        second.start(parameters={'spool.path': chain.spool, 'outbox.path': chain.outbox / 'second'})
         second.wait_for_log('another process releases this spool')
 
 
@@ -400,14 +414,17 @@ def test_an_error_on_the_topics_costs_the_spool_nothing(site: Site, tmp_path: Pa
     node.chips = node.peer.collect(CompressedImage, 'chip/compressed')
     with node:
         node.process = NodeProcess(
-            [sys.executable, '-c', BROKEN], tmp_path / 'log', namespace=node.namespace,
+            [sys.executable, '-c', BROKEN],
+            tmp_path / 'log',
+            namespace=node.namespace,
             parameters={'codec': 'png', 'spool.path': tmp_path / 'spool'},
         )
         node.images = node.peer.publisher(Image, 'image')
         node.plans = node.peer.publisher(Detection2DArray, 'crop_regions')
         node.send_until(
             lambda: node.send(NOISE, 'mono8', [(0, 0, 8, 8), (8, 8, 16, 16)]),
-            lambda: 'the middleware is full' in node.process.log, 'the error',
+            lambda: 'the middleware is full' in node.process.log,
+            'the error',
         )
         counts = node.counts()
         assert counts['spool.planned'] == counts['spool.waiting'] > 2
@@ -491,6 +508,7 @@ def test_a_node_that_is_killed_in_the_middle_loses_nothing(chain: Chain) -> None
     for _ in range(5):
         chain.store([0.5] * 40)
     chain.chips.wait(lambda: chain.books()['spool.waiting'] == 201, 'chips in the spool')
+
     def out() -> int:
         return len(list(chain.outbox.glob(COMPLETE)))
 
@@ -525,7 +543,10 @@ def test_the_books_balance_after_every_kill_and_the_bus_has_what_they_say(site: 
     command = Path(__file__).parents[1] / 'soak' / 'kills.py'
     done = subprocess.run(
         [sys.executable, command, '--count', '30', '--seed', '1'],
-        check=False, capture_output=True, text=True, timeout=900,
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=900,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(r'3[01] kills, .*none wrong', done.stdout)

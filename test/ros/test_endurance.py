@@ -27,6 +27,9 @@ def test_it_runs_and_finds_nothing(site: Site, command: str) -> None:
     script, *arguments = command.split()
     ran = subprocess.run(
         [sys.executable, TEST / script, *arguments],
-        capture_output=True, text=True, timeout=600, check=False,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr

@@ -145,7 +145,10 @@ def test_events_reach_their_callbacks(scene: Scene) -> None:
     matched: list[Any] = []
     scene.spin_for(0.2)
     scene.node.create_subscription(
-        Bool, 'third', print, DEEP,
+        Bool,
+        'third',
+        print,
+        DEEP,
         event_callbacks=SubscriptionEventCallbacks(matched=matched.append),
     )
     scene.spin_for(0.1)

@@ -126,9 +126,7 @@ def single(points: Points) -> list[list[float]]:
     return np.asarray(points, np.float32).astype(np.float64).tolist()
 
 
-def test_a_collection_becomes_the_boxes_of_its_minimum_rectangles(
-    polygons_node: Converter
-) -> None:
+def test_a_collection_becomes_the_boxes_of_its_minimum_rectangles(polygons_node: Converter) -> None:
     answer = rows_of(polygons_node.convert(collection(SHAPES)))
     np.testing.assert_array_equal(answer, axis_aligned(OrientedBoxes.from_polygons(SHAPES)))
 
@@ -147,9 +145,7 @@ def test_quads_give_what_detections_give(polygons_node: Converter) -> None:
     np.testing.assert_allclose(answer, axis_aligned(fleet(6)), rtol=1e-9)
 
 
-def test_an_empty_collection_is_answered_with_an_empty_message(
-    polygons_node: Converter
-) -> None:
+def test_an_empty_collection_is_answered_with_an_empty_message(polygons_node: Converter) -> None:
     message = collection([])
     answer = polygons_node.convert(message)
     assert answer.header == message.header

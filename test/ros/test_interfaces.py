@@ -32,10 +32,14 @@ from vision_msgs.msg import Pose2D
 
 # Of the packages released for Jazzy. Another hash means other fields, types or order.
 RELEASED = {
-    ('vision_msgs', 'Detection2DArray'):
-        'RIHS01_214274120007f4a683866481336b70310268cfa107aebe9d594a6acf75bda968',
-    ('polygon_msgs', 'Polygon2DCollection'):
-        'RIHS01_52f380704d680f7b0b1b1d7f6776178477212a5be9e54781569dc7aeec144d50',
+    (
+        'vision_msgs',
+        'Detection2DArray',
+    ): 'RIHS01_214274120007f4a683866481336b70310268cfa107aebe9d594a6acf75bda968',
+    (
+        'polygon_msgs',
+        'Polygon2DCollection',
+    ): 'RIHS01_52f380704d680f7b0b1b1d7f6776178477212a5be9e54781569dc7aeec144d50',
 }
 
 CDR_LITTLE_ENDIAN = bytes((0, 1, 0, 0))
@@ -76,22 +80,22 @@ DETECTIONS = Detection2DArray(
 )
 DETECTIONS_CDR = [
     *CDR_LITTLE_ENDIAN,
-    *struct.pack('<iI', 1700000000, 123456789),         # 0: header.stamp
-    *struct.pack('<I7s', 7, b'camera\0'),               # 8: header.frame_id
+    *struct.pack('<iI', 1700000000, 123456789),  # 0: header.stamp
+    *struct.pack('<I7s', 7, b'camera\0'),  # 8: header.frame_id
     *[ANY] * 1,
-    *struct.pack('<I', 1),                              # 20: how many detections
-    *struct.pack('<iI', -5, 6),                         # 24: detections[0].header.stamp
-    *struct.pack('<I4s', 4, b'bow\0'),                  # 32: .header.frame_id
-    *struct.pack('<I', 1),                              # 40: how many .results
-    *struct.pack('<I11s', 11, b'helicopter\0'),         # 44: .results[0].hypothesis.class_id
+    *struct.pack('<I', 1),  # 20: how many detections
+    *struct.pack('<iI', -5, 6),  # 24: detections[0].header.stamp
+    *struct.pack('<I4s', 4, b'bow\0'),  # 32: .header.frame_id
+    *struct.pack('<I', 1),  # 40: how many .results
+    *struct.pack('<I11s', 11, b'helicopter\0'),  # 44: .results[0].hypothesis.class_id
     *[ANY] * 5,
-    *struct.pack('<d', 0.875),                          # 64: .hypothesis.score
-    *struct.pack('<3d', 1.5, -2.5, 3.5),                # 72: .pose.pose.position
-    *struct.pack('<4d', 0.1, 0.2, 0.3, 0.4),            # 96: .pose.pose.orientation
+    *struct.pack('<d', 0.875),  # 64: .hypothesis.score
+    *struct.pack('<3d', 1.5, -2.5, 3.5),  # 72: .pose.pose.position
+    *struct.pack('<4d', 0.1, 0.2, 0.3, 0.4),  # 96: .pose.pose.orientation
     *struct.pack('<36d', *(k / 7 for k in range(36))),  # 128: .pose.covariance
-    *struct.pack('<3d', 320.25, 240.5, -0.7),           # 416: detections[0].bbox.center
-    *struct.pack('<2d', 81.0, 12.125),                  # 440: .bbox.size_x, .bbox.size_y
-    *struct.pack('<I7s', 7, b'hull-7\0'),               # 456: .id
+    *struct.pack('<3d', 320.25, 240.5, -0.7),  # 416: detections[0].bbox.center
+    *struct.pack('<2d', 81.0, 12.125),  # 440: .bbox.size_x, .bbox.size_y
+    *struct.pack('<I7s', 7, b'hull-7\0'),  # 456: .id
 ]
 
 POLYGONS = Polygon2DCollection(
@@ -109,15 +113,15 @@ POLYGONS = Polygon2DCollection(
 )
 POLYGONS_CDR = [
     *CDR_LITTLE_ENDIAN,
-    *struct.pack('<iI', 12, 34),                               # 0: header.stamp
-    *struct.pack('<I6s', 6, b'image\0'),                       # 8: header.frame_id
+    *struct.pack('<iI', 12, 34),  # 0: header.stamp
+    *struct.pack('<I6s', 6, b'image\0'),  # 8: header.frame_id
     *[ANY] * 2,
-    *struct.pack('<I', 1),                                     # 20: how many polygons
-    *struct.pack('<I', 3),                                     # 24: how many polygons[0].points
+    *struct.pack('<I', 1),  # 20: how many polygons
+    *struct.pack('<I', 3),  # 24: how many polygons[0].points
     *[ANY] * 4,
     *struct.pack('<6d', 0.5, 0.25, 100.1, -7.75, 60.0, 33.3),  # 32: their x and y
-    *struct.pack('<I', 1),                                     # 80: how many colors
-    *struct.pack('<4f', 1.0, 0.5, 0.25, 0.75),                 # 84: colors[0]
+    *struct.pack('<I', 1),  # 80: how many colors
+    *struct.pack('<4f', 1.0, 0.5, 0.25, 0.75),  # 84: colors[0]
 ]
 
 EXAMPLES = pytest.mark.parametrize(
@@ -150,7 +154,7 @@ def test_serialized_message_is_the_cdr_laid_out_by_hand(
 ) -> None:
     data = serialize_message(message)
     expected = [got if byte is ANY else byte for got, byte in zip(data, cdr, strict=False)]
-    assert data[:len(cdr)] == bytes(expected)
+    assert data[: len(cdr)] == bytes(expected)
     # A middleware may fill the end up to the next multiple of four; Fast DDS does not.
     assert len(cdr) <= len(data) <= -(-len(cdr) // 4) * 4
 

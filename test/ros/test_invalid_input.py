@@ -118,8 +118,11 @@ def test_the_warning_names_topic_stamp_and_index(start: Callable[..., Converter]
     bad = (100.0, 80.0, -60.0, 20.0, 0.5)
     stamp = node.send(detections([GOOD, GOOD, bad, GOOD, bad]))
     texts = (
-        f'{node.namespace}/detections', f'stamp {stamp}.{7 * stamp:09d}', 'index 2',
-        'dropped 2 of 5', 'negative_size',
+        f'{node.namespace}/detections',
+        f'stamp {stamp}.{7 * stamp:09d}',
+        'index 2',
+        'dropped 2 of 5',
+        'negative_size',
     )
     line = node.wait_for_log(*texts)
     assert '[WARN]' in line
@@ -160,9 +163,23 @@ def test_one_kind_of_warning_does_not_silence_another(start: Callable[..., Conve
 SQUARE = [(0.0, 0.0), (8.0, 0.0), (8.0, 8.0), (0.0, 8.0)]
 B = 1e308
 CRASHES_GEOS = [
-    (0.0, 0.0), (B, 1.0), (B, B), (B, 6.0), (1.0, 7.0), (0.0, 8.0), (1.0, B), (0.0, 10.0),
-    (1.0, 0.0), (0.0, 16.0), (0.0, 17.0), (B, 21.0), (0.0, B), (1.0, 24.0), (1.0, 25.0),
-    (0.0, 26.0), (1.0, 28.0),
+    (0.0, 0.0),
+    (B, 1.0),
+    (B, B),
+    (B, 6.0),
+    (1.0, 7.0),
+    (0.0, 8.0),
+    (1.0, B),
+    (0.0, 10.0),
+    (1.0, 0.0),
+    (0.0, 16.0),
+    (0.0, 17.0),
+    (B, 21.0),
+    (0.0, B),
+    (1.0, 24.0),
+    (1.0, 25.0),
+    (0.0, 26.0),
+    (1.0, 28.0),
 ]
 POINTLESS = [
     ([], 'too_few_points'),
@@ -222,6 +239,7 @@ def test_a_stamped_polygon_that_has_no_rectangle_is_answered(site: Site) -> None
 
 # Bytes that are no message --------------------------------------------------------------------
 
+
 def sample() -> bytes:
     """Give a valid message in its bytes."""
     message = detections(fleet(3), class_id='tug', name='hull-07')
@@ -268,7 +286,8 @@ def test_bytes_that_are_no_message_are_counted_and_reported(node: Converter) -> 
     all_of_them = {'messages_unreadable': len(UNREADABLE)}
     report = node.wait_for(
         lambda: (
-            each.status[0] for each in node.reports()
+            each.status[0]
+            for each in node.reports()
             if Counts(each.status[0]).since(before, 'messages_unreadable') == all_of_them
         ),
         'a report of all of them',

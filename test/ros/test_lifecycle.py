@@ -95,9 +95,7 @@ def test_inactive_it_publishes_nothing_but_diagnostics(managed: Converter) -> No
     crops = managed.peer.collect(Detection2DArray, 'crop_regions')
     go(managed, CONFIGURE)
     assert managed.state() == 'inactive'
-    managed.wait(
-        lambda: outputs(managed) == list(TOPICS) and inputs(managed) == 2, 'the topics'
-    )
+    managed.wait(lambda: outputs(managed) == list(TOPICS) and inputs(managed) == 2, 'the topics')
     send_while_inactive(managed, 3)
     assert values_of(managed.next_report())['state'] == 'inactive'
     # Had anything been published it would come before what is now.
@@ -121,9 +119,7 @@ def test_it_can_be_deactivated_and_activated_again(managed: Converter) -> None:
     assert_it_converts(managed)
 
 
-def test_cleanup_gives_every_topic_back_and_it_can_be_configured_again(
-    managed: Converter
-) -> None:
+def test_cleanup_gives_every_topic_back_and_it_can_be_configured_again(managed: Converter) -> None:
     for _ in range(3):
         go(managed, CONFIGURE, ACTIVATE)
         assert_it_converts(managed)

@@ -80,7 +80,7 @@ def shows(pixels: NDArray[np.uint8], layer: str) -> bool:
 
 
 def test_all_layers_are_drawn_in_their_colours_whatever_the_order_of_arrival(
-    node: OverlayNode
+    node: OverlayNode,
 ) -> None:
     header = node.header()
     for layer in LAYERS:
@@ -105,7 +105,7 @@ def test_frames_that_overlap_in_time_are_not_mixed(node: OverlayNode) -> None:
 
 
 def test_an_image_is_drawn_without_a_layer_that_does_not_come_and_that_is_said(
-    node: OverlayNode
+    node: OverlayNode,
 ) -> None:
     # The layers that come may do so after a pause.
     node.set({'max_wait': 2.0})
@@ -115,19 +115,18 @@ def test_an_image_is_drawn_without_a_layer_that_does_not_come_and_that_is_said(
     assert [shows(pixels, layer) for layer in LAYERS] == [True, True, False]
     # In the log it may stand of another frame, of seconds before.
     text = f'{header.stamp.sec}.{header.stamp.nanosec:09d} without crop_regions'
-    node.wait(
-        lambda: any(text in each.status[0].message for each in node.reports()), 'the warning'
-    )
+    node.wait(lambda: any(text in each.status[0].message for each in node.reports()), 'the warning')
     assert node.counts().since(before, 'layers_missing.') == {'layers_missing.crop_regions': 1}
     # There it is said of one frame in five seconds.
     node.send_until(
         lambda: node.send(GREY, 'rgb8', detections=ROWS['detections'], boxes=ROWS['boxes']),
-        lambda: re.search(r'stamp \d+\.\d+ without crop_regions', node.process.log), 'the log',
+        lambda: re.search(r'stamp \d+\.\d+ without crop_regions', node.process.log),
+        'the log',
     )
 
 
 def test_an_image_is_drawn_after_its_wait_while_a_simulated_clock_stands_still(
-    start: Callable[..., OverlayNode]
+    start: Callable[..., OverlayNode],
 ) -> None:
     node = start(use_sim_time=True, max_wait=0.5)
     node.connect('boxes')
@@ -135,7 +134,7 @@ def test_an_image_is_drawn_after_its_wait_while_a_simulated_clock_stands_still(
 
 
 def test_layers_without_an_image_and_what_a_later_frame_overtook_are_dropped_and_counted(
-    node: OverlayNode
+    node: OverlayNode,
 ) -> None:
     node.set({'max_age': 0.5, 'max_wait': 3.0})
     before = node.counts()
@@ -144,8 +143,10 @@ def test_layers_without_an_image_and_what_a_later_frame_overtook_are_dropped_and
     later = node.send(GREY, 'rgb8', **ROWS)
     node.picture_of(later)
     node.wait(
-        lambda: node.counts().since(before, 'frames_dropped.')
-        == {'frames_dropped.no_image': 1, 'frames_dropped.overtaken': 1},
+        lambda: (
+            node.counts().since(before, 'frames_dropped.')
+            == {'frames_dropped.no_image': 1, 'frames_dropped.overtaken': 1}
+        ),
         'both are counted',
     )
     assert len(node.pictures) == 1
@@ -184,12 +185,16 @@ def test_markers_hold_the_edges_of_each_layer_in_pixels_of_the_image(node: Overl
     sent: list[Header] = []
     node.send_until(
         lambda: sent.append(node.send(GREY, 'rgb8', **ROWS)),
-        lambda: len(markers) >= 3 and alone, 'markers',
+        lambda: len(markers) >= 3 and alone,
+        'markers',
     )
     header = sent[-1]
     node.wait(
-        lambda: sum(each.header == header for each in markers) == 3
-        and any(each.header == header for each in alone), 'all markers of the last frame',
+        lambda: (
+            sum(each.header == header for each in markers) == 3
+            and any(each.header == header for each in alone)
+        ),
+        'all markers of the last frame',
     )
     found = {each.ns: each for each in markers if each.header == header}
     assert set(found) == set(LAYERS)
@@ -199,9 +204,7 @@ def test_markers_hold_the_edges_of_each_layer_in_pixels_of_the_image(node: Overl
         x, y, width, height, _ = ROWS[layer][0]
         points = {(point.x, point.y) for point in marker.points}
         assert len(marker.points) == 8
-        assert points == {
-            (x + i * width / 2, y + j * height / 2) for i in (-1, 1) for j in (-1, 1)
-        }
+        assert points == {(x + i * width / 2, y + j * height / 2) for i in (-1, 1) for j in (-1, 1)}
         color = marker.outline_color
         rgb = [round(255 * value) for value in (color.r, color.g, color.b)]
         assert '#' + bytes(rgb).hex() == LAYER_COLORS[layer]
@@ -217,7 +220,7 @@ def test_a_layer_without_boxes_sends_a_marker_without_lines(node: OverlayNode) -
 
 
 def test_what_cannot_be_read_shown_or_dated_is_counted_and_the_node_goes_on(
-    node: OverlayNode
+    node: OverlayNode,
 ) -> None:
     before = node.counts()
     node.publish('image', b'\0\1\0\0' + bytes(5))
@@ -247,7 +250,7 @@ def test_grey_images_are_shown_in_grey(node: OverlayNode, encoding: str, kind: A
 
 
 def test_without_publishers_of_layers_the_image_is_drawn_at_once(
-    start: Callable[..., OverlayNode]
+    start: Callable[..., OverlayNode],
 ) -> None:
     node = start(max_wait=60.0)
     node.connect()
@@ -256,7 +259,7 @@ def test_without_publishers_of_layers_the_image_is_drawn_at_once(
 
 
 def test_nobody_pays_for_a_node_that_nobody_looks_at_and_it_misses_no_input(
-    start: Callable[..., OverlayNode]
+    start: Callable[..., OverlayNode],
 ) -> None:
     node = start(look=False, input_timeout=0.1)
     graph = node.peer.node
@@ -299,7 +302,8 @@ def test_polygons_are_drawn_in_place_of_boxes(start: Callable[..., OverlayNode])
         node.send_image(GREY, message.header, 'rgb8')
 
     node.send_until(
-        send, lambda: any(shows(pixels_of(each), 'detections') for each in node.pictures),
+        send,
+        lambda: any(shows(pixels_of(each), 'detections') for each in node.pictures),
         'a picture with the polygon',
     )
 

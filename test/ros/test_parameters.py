@@ -46,19 +46,68 @@ ROOT = Path(__file__).parents[2]
 Values = Mapping[str, Any]
 
 CONTRACT = {
-    'autostart', 'input_type', 'method', 'q', 'f', 's', 'max_length', 'max_width',
-    'ground_sample_distance', 'class_ids', 'image_width', 'image_height', 'angle_unit',
-    'invalid_policy', 'crop.padding', 'crop.padding_px', 'crop.min_size', 'crop.max_size',
-    'crop.multiple_of', 'crop.merge_max_size', 'crop.max_count', 'crop.max_pixels',
-    'crop.compare_outer', 'lock_parameters', 'crop.q', 'crop.min_score', 'clip_boxes',
-    'input_width', 'input_height', 'input_fit', 'input_timeout', 'hardware_id', 'heading',
-    'q_bow', 'q_stern', 'state.path', 'watchdog_timeout',
+    'autostart',
+    'input_type',
+    'method',
+    'q',
+    'f',
+    's',
+    'max_length',
+    'max_width',
+    'ground_sample_distance',
+    'class_ids',
+    'image_width',
+    'image_height',
+    'angle_unit',
+    'invalid_policy',
+    'crop.padding',
+    'crop.padding_px',
+    'crop.min_size',
+    'crop.max_size',
+    'crop.multiple_of',
+    'crop.merge_max_size',
+    'crop.max_count',
+    'crop.max_pixels',
+    'crop.compare_outer',
+    'lock_parameters',
+    'crop.q',
+    'crop.min_score',
+    'clip_boxes',
+    'input_width',
+    'input_height',
+    'input_fit',
+    'input_timeout',
+    'hardware_id',
+    'heading',
+    'q_bow',
+    'q_stern',
+    'state.path',
+    'watchdog_timeout',
 }
 OVERLAY_CONTRACT = {
-    'autostart', 'lock_parameters', 'input_timeout', 'hardware_id', 'input_type', 'angle_unit',
-    'input_width', 'input_height', 'input_fit', 'layers', 'labels', 'scale', 'quality',
-    'line_width', 'text_size', 'max_wait', 'max_age', 'max_images', 'color.detections',
-    'color.boxes', 'color.crop_regions', 'state.path', 'watchdog_timeout',
+    'autostart',
+    'lock_parameters',
+    'input_timeout',
+    'hardware_id',
+    'input_type',
+    'angle_unit',
+    'input_width',
+    'input_height',
+    'input_fit',
+    'layers',
+    'labels',
+    'scale',
+    'quality',
+    'line_width',
+    'text_size',
+    'max_wait',
+    'max_age',
+    'max_images',
+    'color.detections',
+    'color.boxes',
+    'color.crop_regions',
+    'state.path',
+    'watchdog_timeout',
 }
 
 SHIPS = fleet(8)
@@ -169,16 +218,34 @@ def test_sets_that_are_rejected_change_no_message_that_flows(node: Converter) ->
 # What is accepted, and what is refused --------------------------------------------------------
 
 REFUSED = [
-    ('q', float('nan')), ('q', 0.99), ('q', -float('inf')),
-    ('f', 0.0), ('f', -0.5), ('f', 2.01), ('f', float('nan')),
-    ('s', 0.0), ('s', 2.01), ('s', float('nan')), ('s', float('inf')),
-    ('method', 'superelipse'), ('method', 'gaussian_published'), ('method', ''),
-    ('max_length', -1.0), ('max_width', float('nan')), ('ground_sample_distance', -0.1),
-    ('angle_unit', 'grad'), ('invalid_policy', 'ignore'),
-    ('image_width', -1), ('image_height', 2_000_000),
-    ('crop.padding', -0.1), ('crop.padding_px', float('inf')),
-    ('crop.min_size', -1), ('crop.max_count', -1), ('crop.multiple_of', -8),
-    ('crop.merge_max_size', -1), ('crop.max_pixels', -1),
+    ('q', float('nan')),
+    ('q', 0.99),
+    ('q', -float('inf')),
+    ('f', 0.0),
+    ('f', -0.5),
+    ('f', 2.01),
+    ('f', float('nan')),
+    ('s', 0.0),
+    ('s', 2.01),
+    ('s', float('nan')),
+    ('s', float('inf')),
+    ('method', 'superelipse'),
+    ('method', 'gaussian_published'),
+    ('method', ''),
+    ('max_length', -1.0),
+    ('max_width', float('nan')),
+    ('ground_sample_distance', -0.1),
+    ('angle_unit', 'grad'),
+    ('invalid_policy', 'ignore'),
+    ('image_width', -1),
+    ('image_height', 2_000_000),
+    ('crop.padding', -0.1),
+    ('crop.padding_px', float('inf')),
+    ('crop.min_size', -1),
+    ('crop.max_count', -1),
+    ('crop.multiple_of', -8),
+    ('crop.merge_max_size', -1),
+    ('crop.max_pixels', -1),
 ]
 
 
@@ -196,8 +263,17 @@ def test_a_value_out_of_range_is_refused_by_name_and_number(
 
 @pytest.mark.parametrize(
     ('name', 'value'),
-    [('q', 1.0), ('q', float('inf')), ('f', 2.0), ('f', 1e-9), ('s', 2.0), ('s', 1.1),
-     ('max_length', 0.0), ('max_width', float('inf')), ('image_width', 100_000)],
+    [
+        ('q', 1.0),
+        ('q', float('inf')),
+        ('f', 2.0),
+        ('f', 1e-9),
+        ('s', 2.0),
+        ('s', 1.1),
+        ('max_length', 0.0),
+        ('max_width', float('inf')),
+        ('image_width', 100_000),
+    ],
 )
 def test_a_value_at_the_end_of_its_range_is_accepted(
     node: Converter, name: str, value: Any
@@ -214,9 +290,13 @@ def test_an_infinite_q_gives_the_box_of_the_rectangle(node: Converter) -> None:
 
 @pytest.mark.parametrize(
     ('name', 'value', 'wanted', 'got'),
-    [('q', 3, 'DOUBLE', 'INTEGER'), ('s', '1.0', 'DOUBLE', 'STRING'),
-     ('crop.max_count', 2.0, 'INTEGER', 'DOUBLE'), ('method', 1, 'STRING', 'INTEGER'),
-     ('class_ids', 'ship', 'STRING_ARRAY', 'STRING')],
+    [
+        ('q', 3, 'DOUBLE', 'INTEGER'),
+        ('s', '1.0', 'DOUBLE', 'STRING'),
+        ('crop.max_count', 2.0, 'INTEGER', 'DOUBLE'),
+        ('method', 1, 'STRING', 'INTEGER'),
+        ('class_ids', 'ship', 'STRING_ARRAY', 'STRING'),
+    ],
 )
 def test_a_value_of_another_type_is_refused_with_both_types(
     node: Converter, name: str, value: Any, wanted: str, got: str
@@ -277,8 +357,10 @@ def test_an_unknown_parameter_is_refused(node: Converter) -> None:
 # What tools are told --------------------------------------------------------------------------
 
 TYPES = {
-    'bool': ParameterType.PARAMETER_BOOL, 'int': ParameterType.PARAMETER_INTEGER,
-    'double': ParameterType.PARAMETER_DOUBLE, 'string': ParameterType.PARAMETER_STRING,
+    'bool': ParameterType.PARAMETER_BOOL,
+    'int': ParameterType.PARAMETER_INTEGER,
+    'double': ParameterType.PARAMETER_DOUBLE,
+    'string': ParameterType.PARAMETER_STRING,
     'string[]': ParameterType.PARAMETER_STRING_ARRAY,
 }
 
@@ -309,8 +391,10 @@ def test_every_parameter_is_described(node: Converter, spec: Any) -> None:
 @pytest.mark.parametrize(
     ('file', 'executable'),
     [
-        ('obb_to_hbb', 'obb_to_hbb'), ('paper', 'obb_to_hbb'),
-        ('chip_extractor', 'chip_extractor'), ('downlink', 'downlink'),
+        ('obb_to_hbb', 'obb_to_hbb'),
+        ('paper', 'obb_to_hbb'),
+        ('chip_extractor', 'chip_extractor'),
+        ('downlink', 'downlink'),
     ],
 )
 def test_a_node_takes_the_parameter_file_that_comes_with_it(
@@ -386,16 +470,12 @@ def test_what_a_class_leaves_open_follows_the_node(fleet_node: Converter) -> Non
 
 
 def test_a_class_that_is_not_listed_has_no_rule_in_force(fleet_node: Converter) -> None:
-    np.testing.assert_array_equal(
-        convert_classes(fleet_node, ['barge']), under(HullRule(s=0.9))
-    )
+    np.testing.assert_array_equal(convert_classes(fleet_node, ['barge']), under(HullRule(s=0.9)))
     fleet_node.set({'class_ids': ['tug', 'ferry', 'barge']})
     answer = convert_classes(fleet_node, ['barge'])
     fleet_node.set({'class_ids': ['tug', 'ferry']})
     np.testing.assert_array_equal(answer, under(HullRule(s=0.5)))
-    np.testing.assert_array_equal(
-        convert_classes(fleet_node, ['barge']), under(HullRule(s=0.9))
-    )
+    np.testing.assert_array_equal(convert_classes(fleet_node, ['barge']), under(HullRule(s=0.9)))
 
 
 def test_a_class_can_be_added_while_the_node_runs(node: Converter) -> None:
@@ -412,8 +492,10 @@ def test_the_rule_is_that_of_the_best_hypothesis(node: Converter) -> None:
     node.set({'classes.tug.method': 'outer'})
     message = Detection2DArray()
     for scores in ((0.9, 0.1), (0.1, 0.9), (0.5, 0.5), (float('nan'), 0.1)):
-        two = [detection(fleet(1)[0], each, score).results[0]
-               for each, score in zip(('tug', 'ship'), scores, strict=True)]
+        two = [
+            detection(fleet(1)[0], each, score).results[0]
+            for each, score in zip(('tug', 'ship'), scores, strict=True)
+        ]
         ship = detection(fleet(1)[0], class_id=None)
         ship.results = two
         message.detections.append(ship)
@@ -464,7 +546,7 @@ def test_too_many_classes_are_refused(node: Converter) -> None:
 
 
 def test_a_class_of_the_parameter_file_keeps_its_values_when_it_comes_back(
-    fleet_node: Converter
+    fleet_node: Converter,
 ) -> None:
     fleet_node.set({'class_ids': ['tug']})
     fleet_node.set({'class_ids': ['tug', 'ferry']})
@@ -496,7 +578,6 @@ def test_the_lock_itself_is_only_for_the_start(node: Converter) -> None:
 @pytest.mark.parametrize('table', NODE_TABLES.values(), ids=list(NODE_TABLES))
 def test_every_integer_fits_the_32_bits_of_tools_made_with_qt(table) -> None:
     limits = [
-        (spec.low, spec.high) for spec in table.rows + table.class_rows
-        if type(spec.default) is int
+        (spec.low, spec.high) for spec in table.rows + table.class_rows if type(spec.default) is int
     ]
     assert all(-(2**31) <= low <= high < 2**31 for low, high in limits)

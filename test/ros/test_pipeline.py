@@ -36,8 +36,12 @@ from obbhbb_ros.wire.layouts import INPUT_TYPES
 DATA = Path(__file__).parents[1] / 'data'
 IMAGE_SIZE = 1920, 1080
 TUG = {
-    'class_ids': ['tug', 'ship'], 'classes.tug.method': 'outer', 'classes.tug.weight': 3.0,
-    'classes.tug.crop_q': 7.0, 'classes.ship.q_bow': 1.8, 'classes.ship.min_score': 0.4,
+    'class_ids': ['tug', 'ship'],
+    'classes.tug.method': 'outer',
+    'classes.tug.weight': 3.0,
+    'classes.tug.crop_q': 7.0,
+    'classes.ship.q_bow': 1.8,
+    'classes.ship.min_score': 0.4,
 }
 DETECTIONS = INPUT_TYPES['Detection2DArray']
 ORDERS = pytest.mark.parametrize('order', '<>')
@@ -54,21 +58,34 @@ def assert_same(data, values=None, input_type=DETECTIONS):
     assert batch.crop_regions_message() == regions
 
 
-VALUES = st.fixed_dictionaries({}, optional={
-    'q': st.floats(1, 10), 'f': st.floats(0.1, 2.0), 'angle_unit': st.just('deg'),
-    'invalid_policy': st.just('keep'), 'max_length': st.floats(1, 50),
-    'crop.padding': st.floats(0, 1), 'crop.q': st.sampled_from([0.0, 1.0, 4.0]),
-    'crop.min_score': st.floats(0, 1), 'heading': st.just('theta'),
-    'q_bow': st.sampled_from([1.0, 2.2]), 'q_stern': st.just(4.2),
-    'crop.max_count': st.integers(0, 5),
-    'crop.min_size': st.integers(0, 99), 'crop.merge_max_size': st.just(10**6),
-})
+VALUES = st.fixed_dictionaries(
+    {},
+    optional={
+        'q': st.floats(1, 10),
+        'f': st.floats(0.1, 2.0),
+        'angle_unit': st.just('deg'),
+        'invalid_policy': st.just('keep'),
+        'max_length': st.floats(1, 50),
+        'crop.padding': st.floats(0, 1),
+        'crop.q': st.sampled_from([0.0, 1.0, 4.0]),
+        'crop.min_score': st.floats(0, 1),
+        'heading': st.just('theta'),
+        'q_bow': st.sampled_from([1.0, 2.2]),
+        'q_stern': st.just(4.2),
+        'crop.max_count': st.integers(0, 5),
+        'crop.min_size': st.integers(0, 99),
+        'crop.merge_max_size': st.just(10**6),
+    },
+)
 
 
 @ORDERS
 @given(
-    message=MESSAGES, padding=st.sampled_from([0, 0xA5]), trailing=st.integers(0, 6),
-    values=VALUES, tug=st.booleans(),
+    message=MESSAGES,
+    padding=st.sampled_from([0, 0xA5]),
+    trailing=st.integers(0, 6),
+    values=VALUES,
+    tug=st.booleans(),
 )
 def test_generated_messages(order, message, padding, trailing, values, tug) -> None:
     data = encode(message, order, padding) + bytes(trailing)
@@ -112,7 +129,8 @@ POINTS = st.lists(
 
 @ORDERS
 @given(
-    polygons=st.lists(POINTS, max_size=6), frame_id=st.sampled_from(['', 'camera', 'größe']),
+    polygons=st.lists(POINTS, max_size=6),
+    frame_id=st.sampled_from(['', 'camera', 'größe']),
     colors=st.integers(0, 3),
 )
 def test_generated_polygons(order, polygons, frame_id, colors) -> None:
@@ -135,7 +153,11 @@ def test_generated_polygons(order, polygons, frame_id, colors) -> None:
 KEYPOINTS = st.integers(0, 5)
 YOLO = st.lists(
     st.tuples(
-        DETECTIONS_2D, st.integers(-(2**31), 2**31 - 1), st.integers(0, 7), KEYPOINTS, KEYPOINTS,
+        DETECTIONS_2D,
+        st.integers(-(2**31), 2**31 - 1),
+        st.integers(0, 7),
+        KEYPOINTS,
+        KEYPOINTS,
         st.sampled_from(['', 'map']),
     ),
     max_size=6,
@@ -144,12 +166,14 @@ YOLO = st.lists(
 
 @ORDERS
 @given(
-    rows=YOLO, repeat=st.sampled_from([1, 1, 20]), padding=st.sampled_from([0, 0xA5]),
-    frame_id=st.sampled_from(['', 'camera', 'größe']), values=VALUES, tug=st.booleans(),
+    rows=YOLO,
+    repeat=st.sampled_from([1, 1, 20]),
+    padding=st.sampled_from([0, 0xA5]),
+    frame_id=st.sampled_from(['', 'camera', 'größe']),
+    values=VALUES,
+    tug=st.booleans(),
 )
-def test_generated_yolo_detections(
-    order, rows, repeat, padding, frame_id, values, tug
-) -> None:
+def test_generated_yolo_detections(order, rows, repeat, padding, frame_id, values, tug) -> None:
     writer = Writer(order, padding)
     writer.header((3, 4), frame_id)
     writer.number('I', len(rows) * repeat)
@@ -222,16 +246,23 @@ def test_what_is_not_plain_cdr_is_refused_with_the_reason(name, data, reason) ->
 
 
 @given(
-    size=st.tuples(*[st.integers(0, 9000)] * 2), roi=st.tuples(*[st.integers(0, 900)] * 2),
-    binning=st.tuples(*[st.integers(0, 4)] * 2), model=st.sampled_from(['', 'plumb_bob']),
+    size=st.tuples(*[st.integers(0, 9000)] * 2),
+    roi=st.tuples(*[st.integers(0, 900)] * 2),
+    binning=st.tuples(*[st.integers(0, 4)] * 2),
+    model=st.sampled_from(['', 'plumb_bob']),
     d=st.lists(st.just(0.5), max_size=8),
 )
 def test_the_size_of_an_image_is_that_after_region_of_interest_and_binning(
     size, roi, binning, model, d
 ) -> None:
     info = CameraInfo(
-        width=size[0], height=size[1], binning_x=binning[0], binning_y=binning[1],
-        distortion_model=model, d=d, roi=RegionOfInterest(width=roi[0], height=roi[1]),
+        width=size[0],
+        height=size[1],
+        binning_x=binning[0],
+        binning_y=binning[1],
+        distortion_model=model,
+        d=d,
+        roi=RegionOfInterest(width=roi[0], height=roi[1]),
     )
     wanted = roi if all(roi) else size
     expected = tuple(side // max(by, 1) for side, by in zip(wanted, binning, strict=True))

@@ -160,6 +160,7 @@ def hypotheses(message: Detection2DArray) -> list[tuple[str, str, float]]:
 
 # What is played -------------------------------------------------------------------------------
 
+
 def test_dota_labels_are_played(played: dict[str, Player]) -> None:
     (message,) = played['dota'].messages
     np.testing.assert_allclose(rows_of(message)[:, :4], np.array(ROWS)[:, :4], rtol=1e-12)
@@ -207,7 +208,7 @@ def test_without_a_path_the_harbour_is_played(played: dict[str, Player]) -> None
 
 
 def test_a_malformed_line_is_reported_by_file_and_line_and_the_rest_is_played(
-    played: dict[str, Player]
+    played: dict[str, Player],
 ) -> None:
     (message,) = played['malformed'].messages
     assert len(message.detections) == 4
@@ -253,6 +254,7 @@ def test_images_beside_the_labels_are_published_with_their_stamp(
 
 # What cannot be played ------------------------------------------------------------------------
 
+
 @pytest.mark.parametrize(
     ('parameters', 'texts'),
     [
@@ -284,6 +286,7 @@ def test_an_empty_folder_ends_the_start(site: Site, tmp_path: Path) -> None:
 
 
 # Through the node -----------------------------------------------------------------------------
+
 
 def real_ships() -> list[ImageLabels]:
     return list(read_labels(REAL_SHIPS))

@@ -51,6 +51,7 @@ PAPER = {'method': 'shape_aware', 'q': 2.2, 'f': 0.9, 's': 1.0}
 
 # Parameter files ------------------------------------------------------------------------------
 
+
 def flat(tree: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
     for name, value in tree.items():
         if isinstance(value, dict):
@@ -127,13 +128,13 @@ def test_every_topic_lies_in_the_namespace_but_diagnostics(start: Start) -> None
     arguments = ('obb_to_hbb', node.namespace)
     graph = node.peer.node
     # Topics and nodes are discovered apart from each other.
-    node.wait(
-        lambda: arguments in graph.get_node_names_and_namespaces(), 'the node in the graph'
-    )
+    node.wait(lambda: arguments in graph.get_node_names_and_namespaces(), 'the node in the graph')
     inside = {f'{node.namespace}/{topic}' for topic in ('boxes', 'crop_regions')}
     node.wait(
-        lambda: {*inside, '/diagnostics'}
-        <= set(dict(graph.get_publisher_names_and_types_by_node(*arguments))),
+        lambda: (
+            {*inside, '/diagnostics'}
+            <= set(dict(graph.get_publisher_names_and_types_by_node(*arguments)))
+        ),
         'what it publishes',
     )
     inside = {f'{node.namespace}/{topic}' for topic in ('detections', 'camera_info')}
@@ -293,9 +294,7 @@ def failures(site: Site) -> Iterator[list[NodeProcess]]:
 
 
 @pytest.mark.parametrize('case', range(len(BAD_PARAMETERS)))
-def test_bad_parameters_end_the_start_with_one_line(
-    failures: list[NodeProcess], case: int
-) -> None:
+def test_bad_parameters_end_the_start_with_one_line(failures: list[NodeProcess], case: int) -> None:
     assert failures[case].wait() == 1
     (line,) = failures[case].log.splitlines()
     assert line.startswith('cannot start: ')

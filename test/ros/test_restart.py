@@ -41,6 +41,7 @@ pytestmark = pytest.mark.once
 
 Start = Callable[..., Converter]
 
+
 @pytest.fixture(scope='module')
 def crashed(site: Site, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Crashing]]:
     """Nodes that each have crashed in one of these ways and were started again."""
@@ -130,7 +131,8 @@ def test_one_that_cannot_start_leaves_what_the_run_before_it_left(
     before = asdict(replace(RUN, counters={'chips_stored': 7}))
     file.write_text(json.dumps(before))
     parameters = {
-        'state.path': file, 'qos_overrides./boxes.publisher.reliability': 'perhaps',
+        'state.path': file,
+        'qos_overrides./boxes.publisher.reliability': 'perhaps',
     }
     with site.start('obb_to_hbb', parameters=parameters) as process:
         assert process.wait() == 1
@@ -197,9 +199,7 @@ def test_by_default_nothing_is_kept_and_nothing_said(node: Converter) -> None:
 def test_a_timeout_that_an_idle_node_would_exceed_is_refused(site: Site) -> None:
     with site.start('obb_to_hbb', parameters={'watchdog_timeout': 0.5}) as process:
         assert process.wait() == 1
-        assert process.log == (
-            'cannot start: watchdog_timeout must be 0, or 2 or more, not 0.5\n'
-        )
+        assert process.log == ('cannot start: watchdog_timeout must be 0, or 2 or more, not 0.5\n')
 
 
 # State files that cannot be used ---------------------------------------------------------------
@@ -244,10 +244,16 @@ def test_a_damaged_file_and_one_that_cannot_be_written_are_said_once_and_stop_no
 
 RUN = Run('/n', 7, 'b', '2030-01-01', '2030-01-02', 2, 'active', '', False, {'messages': 3})
 DAMAGED = {
-    'empty': b'', 'cut': json.dumps(asdict(RUN)).encode()[:-9], 'a list': b'[]', 'nul': bytes(99),
-    'nested': b'[' * 100_000, 'not text': b'\xff\xfe', 'a number': b'9' * 5000,
+    'empty': b'',
+    'cut': json.dumps(asdict(RUN)).encode()[:-9],
+    'a list': b'[]',
+    'nul': bytes(99),
+    'nested': b'[' * 100_000,
+    'not text': b'\xff\xfe',
+    'a number': b'9' * 5000,
     'half a character': json.dumps(asdict(replace(RUN, state='\ud800'))).encode(),
-    'no field': b'{}', 'another type': json.dumps(asdict(RUN) | {'pid': '7'}).encode(),
+    'no field': b'{}',
+    'another type': json.dumps(asdict(RUN) | {'pid': '7'}).encode(),
     'no counter': json.dumps(asdict(RUN) | {'counters': {'messages': 'many'}}).encode(),
 }
 
@@ -268,8 +274,12 @@ def test_a_damaged_file_is_told_from_a_good_one(data: bytes) -> None:
         (RUN, 'Timeout (0:00:04)!\n', 'b', ('watchdog: stuck outside Python', False)),
         (replace(RUN, ended='SIGINT', asked=True), '', 'c', ('SIGINT', True)),
         (replace(RUN, ended='OSError: x'), '', 'b', ('OSError: x', False)),
-        (replace(RUN, ended='SIGINT', asked=True), 'Fatal Python error: Bus error\n', 'b',
-         ('crashed: Bus error (SIGBUS)', False)),
+        (
+            replace(RUN, ended='SIGINT', asked=True),
+            'Fatal Python error: Bus error\n',
+            'b',
+            ('crashed: Bus error (SIGBUS)', False),
+        ),
     ],
 )
 def test_the_end_of_a_run_is_found_out(
@@ -318,7 +328,7 @@ print(record.restart)
 
 
 def test_an_attempt_that_cannot_start_leaves_the_evidence_of_the_crash_before_it(
-    tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     def run(*words: str) -> str:
         command = [sys.executable, '-c', DYING, str(tmp_path / 'n.json'), *words]

@@ -41,8 +41,7 @@ def test_the_policy_has_the_names_of_the_running_node(
     # With everything that a node may use.
     folders = {'spool.path': tmp_path / 'spool', 'outbox.path': tmp_path / 'outbox'}
     parameters = {
-        name: path for name, path in folders.items()
-        if name in NODE_TABLES[node].parameters()
+        name: path for name, path in folders.items() if name in NODE_TABLES[node].parameters()
     }
     with site.start(node, parameters=parameters), Peer(site.context, '/watching') as peer:
         graph = peer.node

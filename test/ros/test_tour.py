@@ -65,7 +65,10 @@ def printed(site: Site, checkout: Path) -> str:
     log = checkout / 'printed.txt'
     with log.open('w') as stream:
         process = subprocess.Popen(
-            ['bash', '-c', script()], cwd=checkout, stdout=stream, stderr=subprocess.STDOUT,
+            ['bash', '-c', script()],
+            cwd=checkout,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
             start_new_session=True,
         )
     try:

@@ -70,7 +70,9 @@ class Chain(ExitStack):
             f'{qos}/crop_regions.publisher.depth': 1000,
         }
         patient = {
-            f'{qos}/image.subscription.depth': 100, 'cache.images': 100, 'cache.max_age': 60.0,
+            f'{qos}/image.subscription.depth': 100,
+            'cache.images': 100,
+            'cache.max_age': 60.0,
         }
         self.processes = [
             self.enter_context(site.start(name, namespace=self._namespace, parameters=parameters))
@@ -97,8 +99,11 @@ class Chain(ExitStack):
         self._images = self.peer.publisher(Image, 'image', depths[1])
         graph = self.peer.node
         self.peer.spin_until(
-            lambda: graph.count_publishers('chip/compressed')
-            and graph.count_subscribers('crop_regions') and len(self.reports) == 2,
+            lambda: (
+                graph.count_publishers('chip/compressed')
+                and graph.count_subscribers('crop_regions')
+                and len(self.reports) == 2
+            ),
             'both nodes',
         )
         self.peer.spin_to(time.monotonic() + 1.0)
@@ -130,7 +135,8 @@ def run(chain: Chain, rate: float, minutes: float) -> list[list[float]]:
         print(
             f'{len(resident) * REPORT_PERIOD:5.0f} s: sent {chain.sent}, '
             f'chips {chain.chips.total()}, resident '
-            + ', '.join(f'{each:.1f} MB' for each in resident[-1]), flush=True,
+            + ', '.join(f'{each:.1f} MB' for each in resident[-1]),
+            flush=True,
         )
 
     chain.peer.repeat(60.0 * minutes, (1.0 / rate, chain.send), (REPORT_PERIOD, report))
@@ -173,8 +179,10 @@ def verdict(chain: Chain) -> bool:
         print(f'frames without chips: {missing[:20]}')
     return (
         chain.sent == count(first, 'messages_converted') == count(last, 'frames_paired')
-        and planned == sent == chain.chips.total() and chain.chips == chain.places
-        and not dropped and not missing
+        and planned == sent == chain.chips.total()
+        and chain.chips == chain.places
+        and not dropped
+        and not missing
     )
 
 

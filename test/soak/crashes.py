@@ -63,8 +63,13 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix='crashes_') as text, site_at(Path(text)) as site:
         rows = [
-            measure(site, Path(text) / name.replace(' ', '_'), name, options.count,
-                    options.respawn_delay)
+            measure(
+                site,
+                Path(text) / name.replace(' ', '_'),
+                name,
+                options.count,
+                options.respawn_delay,
+            )
             for name in CRASHES
         ]
     print(f'respawn_delay {options.respawn_delay:g} s, watchdog_timeout 2 s')

@@ -57,11 +57,13 @@ class Soak(Node):
         self.unanswered: set[int] = set()
         # Best effort by default: where nothing may be lost, a user asks for it like this.
         qos = f'qos_overrides.{self.namespace}'
-        self.start(parameters={
-            f'{qos}/detections.subscription.reliability': 'reliable',
-            f'{qos}/detections.subscription.depth': DEEP.depth,
-            f'{qos}/boxes.publisher.depth': DEEP.depth,
-        })
+        self.start(
+            parameters={
+                f'{qos}/detections.subscription.reliability': 'reliable',
+                f'{qos}/detections.subscription.depth': DEEP.depth,
+                f'{qos}/boxes.publisher.depth': DEEP.depth,
+            }
+        )
 
     def connect(self) -> None:
         """Wait until the node is there."""
@@ -114,12 +116,15 @@ def run(soak: Soak, minutes: float) -> list[float]:
         resident.append(soak.process.resident_megabytes())
         print(
             f'{len(resident) * REPORT_PERIOD:5.0f} s: sent {soak.sent}, by set {soak.by_rule}, '
-            f'flips {soak.flips}, resident {resident[-1]:.1f} MB', flush=True,
+            f'flips {soak.flips}, resident {resident[-1]:.1f} MB',
+            flush=True,
         )
 
     soak.peer.repeat(
         60.0 * minutes,
-        (MESSAGE_PERIOD, soak.send), (FLIP_PERIOD, soak.flip), (REPORT_PERIOD, report),
+        (MESSAGE_PERIOD, soak.send),
+        (FLIP_PERIOD, soak.flip),
+        (REPORT_PERIOD, report),
     )
     with contextlib.suppress(TimeoutError):
         soak.peer.spin_until(lambda: not soak.unanswered, 'the last answers', GRACE)

@@ -43,7 +43,8 @@ def quarter(start: float, open_below: bool):
 CONVENTIONS = {
     'OpenCV 4.5.1 to 4.12': (quarter(0.0, open_below=True), lambda angle: 0 < angle <= 90),
     'OpenCV before 4.5.1 and from 4.13': (
-        quarter(-QUARTER, open_below=False), lambda angle: -90 <= angle < 0
+        quarter(-QUARTER, open_below=False),
+        lambda angle: -90 <= angle < 0,
     ),
     'le90': (long_side(-QUARTER), lambda angle: -90 <= angle < 90),
     'le135': (long_side(-QUARTER / 2), lambda angle: -45 <= angle < 135),
@@ -51,7 +52,8 @@ CONVENTIONS = {
     'Ultralytics xywhr of older releases': (long_side(0.0), lambda angle: 0 <= angle < 180),
     'anticlockwise': (lambda length, width, theta: (length, width, -theta), lambda angle: True),
     'from the other end': (
-        lambda length, width, theta: (length, width, theta + HALF), lambda angle: True
+        lambda length, width, theta: (length, width, theta + HALF),
+        lambda angle: True,
     ),
 }
 

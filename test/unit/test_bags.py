@@ -60,8 +60,13 @@ SHIPS = [row for image in real_ships() for row in image]
 ROWS = [SHIPS[i : i + 4] for i in range(0, 40, 4)]
 NOTE = pack('String', build('String', data='note'))
 WAYS = [
-    ('mcap', 'none'), ('mcap', 'file'), ('mcap', 'message'), ('mcap', 'storage'),
-    ('sqlite3', 'none'), ('sqlite3', 'file'), ('sqlite3', 'message'),
+    ('mcap', 'none'),
+    ('mcap', 'file'),
+    ('mcap', 'message'),
+    ('mcap', 'storage'),
+    ('sqlite3', 'none'),
+    ('sqlite3', 'file'),
+    ('sqlite3', 'message'),
 ]
 TOPICS = {'/camera_info': 'CameraInfo', '/detections': 'Detection2DArray', '/note': 'String'}
 
@@ -80,8 +85,11 @@ def scene(
 
 
 def expected(
-    messages: Sequence[Recorded], kind: str = 'Detection2DArray', topic: str = '/detections',
-    size: tuple[int, int] | None = SIZE, **values: Any,
+    messages: Sequence[Recorded],
+    kind: str = 'Detection2DArray',
+    topic: str = '/detections',
+    size: tuple[int, int] | None = SIZE,
+    **values: Any,
 ) -> tuple[list[tuple[int, bytes]], list[tuple[int, bytes]]]:
     """Give what has to be on the topics of the boxes and of the crop regions."""
     batches = [
@@ -99,9 +107,7 @@ def answers(path: Path, namespace: str = '') -> tuple[list[Any], list[Any]]:
 
 
 @pytest.fixture
-def run(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., tuple[int, str, str]]:
+def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
     """Run the command from `in` to `out`; give exit code and output."""
 
     def run(*options: object, source: Path | None = None) -> tuple[int, str, str]:
@@ -120,6 +126,7 @@ def bag(tmp_path: Path) -> Path:
 
 # What comes out ---------------------------------------------------------------------------------
 
+
 @pytest.mark.parametrize(('storage', 'compression'), WAYS)
 def test_a_bag_comes_out_stored_as_it_was_with_boxes_and_crop_regions(
     tmp_path: Path, run: Any, storage: str, compression: str
@@ -134,11 +141,16 @@ def test_a_bag_comes_out_stored_as_it_was_with_boxes_and_crop_regions(
     assert answers(target) == expected(given)
     with Reader(source) as before, Reader(target) as after:
         assert (after.compression_mode, after.storage.metadata.custom) == (
-            before.compression_mode, {'flight': '7'}
+            before.compression_mode,
+            {'flight': '7'},
         )
         for old, new in zip(before.connections, after.connections, strict=False):
             assert (new.topic, new.msgtype, new.msgdef, new.digest, new.ext) == (
-                old.topic, old.msgtype, old.msgdef, old.digest, old.ext
+                old.topic,
+                old.msgtype,
+                old.msgdef,
+                old.digest,
+                old.ext,
             )
             assert new.ext.offered_qos_profiles == [LATCHED]
     assert {path.suffixes[0] for path in target.iterdir()} == {
@@ -240,14 +252,17 @@ def test_a_bag_of_humble_gets_the_definitions_that_it_lacks(tmp_path: Path, run:
 
 # Which topics -----------------------------------------------------------------------------------
 
+
 def test_answers_and_camera_info_are_in_the_namespace_of_the_input(
     tmp_path: Path, run: Any
 ) -> None:
     given = scene(topic='/payload/left/ships')
     given.insert(1, Recorded('/camera_info', SECOND, camera_info(9, 9)))
     topics = {
-        '/payload/left/camera_info': 'CameraInfo', '/payload/left/ships': 'Detection2DArray',
-        '/camera_info': 'CameraInfo', '/note': 'String',
+        '/payload/left/camera_info': 'CameraInfo',
+        '/payload/left/ships': 'Detection2DArray',
+        '/camera_info': 'CameraInfo',
+        '/note': 'String',
     }
     record(tmp_path / 'in', topics, given)
     assert run()[0] == 0
@@ -328,10 +343,12 @@ def test_boxes_themselves_can_be_no_input(tmp_path: Path, run: Any) -> None:
 
 # Parameters -------------------------------------------------------------------------------------
 
+
 def test_parameters_are_those_of_the_node_in_the_namespace(tmp_path: Path, run: Any) -> None:
     given = scene(topic='/payload/detections')
     topics = {
-        '/payload/camera_info': 'CameraInfo', '/payload/detections': 'Detection2DArray',
+        '/payload/camera_info': 'CameraInfo',
+        '/payload/detections': 'Detection2DArray',
         '/note': 'String',
     }
     record(tmp_path / 'in', topics, given)
@@ -394,6 +411,7 @@ def test_parameters_of_ros_itself_are_not_unknown(bag: Path, tmp_path: Path, run
 
 # What is reported -------------------------------------------------------------------------------
 
+
 def test_crop_regions_begin_with_the_first_camera_info_as_in_the_node(
     tmp_path: Path, run: Any
 ) -> None:
@@ -416,7 +434,7 @@ def test_a_message_that_cannot_be_read_is_reported_by_its_number_and_kept(
     places = [i for i, each in enumerate(given) if each.topic == '/detections']
     for number, cut in ((3, 60), (7, 2)):
         at = places[number - 1]
-        given[at] = given[at]._replace(data=given[at].data[:-cut * 4])
+        given[at] = given[at]._replace(data=given[at].data[: -cut * 4])
     given.append(Recorded('/camera_info', 3 * SECOND, b'\0\1\0\0'))
     record(tmp_path / 'in', TOPICS, given)
     code, out, err = run('--strict')
@@ -472,6 +490,7 @@ def test_an_end_on_the_way_leaves_nothing(
 
 
 # Damage -----------------------------------------------------------------------------------------
+
 
 @cache
 def long_scene() -> Sequence[Recorded]:
@@ -787,8 +806,10 @@ def test_a_damaged_table_of_topics_is_an_error_that_names_what_is_missing(
 @pytest.mark.parametrize(
     ('values', 'complaint'),
     [
-        ("data = 'text'", 'it is damaged'), ('data = NULL', 'it is damaged'),
-        ("timestamp = 'noon'", 'it is damaged'), ('timestamp = -1', 'it is damaged'),
+        ("data = 'text'", 'it is damaged'),
+        ('data = NULL', 'it is damaged'),
+        ("timestamp = 'noon'", 'it is damaged'),
+        ('timestamp = -1', 'it is damaged'),
         ('topic_id = 77', 'it is of no known topic'),
     ],
 )

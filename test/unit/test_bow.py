@@ -69,9 +69,15 @@ def test_one_end_alone_takes_q_for_the_other() -> None:
 
 @pytest.mark.parametrize(
     ('row', 'known'),
-    [(SLOPE, True), ([0, 0, 10, 20, 0.3], False), ([0, 0, 10, 10, 0.3], True),
-     ([0, 0, np.nan, 20, 0], False), ([0, 0, -20, 10, 0], False), ([0, 0, 20, 0, 0], False),
-     ([0, 0, 1e300, 1e290, 0], False)],
+    [
+        (SLOPE, True),
+        ([0, 0, 10, 20, 0.3], False),
+        ([0, 0, 10, 10, 0.3], True),
+        ([0, 0, np.nan, 20, 0], False),
+        ([0, 0, -20, 10, 0], False),
+        ([0, 0, 20, 0, 0], False),
+        ([0, 0, 1e300, 1e290, 0], False),
+    ],
 )
 def test_the_bow_is_known_where_theta_is_along_the_longer_side(row, known) -> None:
     assert OrientedBoxes.from_xywhr([row], bow=True).bow.tolist() == [known]
@@ -124,9 +130,7 @@ def test_ends_that_are_alike_give_the_plain_box_to_the_last_bit(rows, q, f, s) -
 
 
 @given(rows=xywhr(), q=Q, q_bow=Q, q_stern=Q, f=FACTOR, s=FACTOR)
-def test_an_unknown_bow_gives_the_plain_box_to_the_last_bit(
-    rows, q, q_bow, q_stern, f, s
-) -> None:
+def test_an_unknown_bow_gives_the_plain_box_to_the_last_bit(rows, q, q_bow, q_stern, f, s) -> None:
     rules = [HullRule('superellipse', q, f, s, q_bow, q_stern)]
     plain = OrientedBoxes.from_xywhr(rows)
     center, extents = centers_and_extents(plain, [HullRule('superellipse', q, f, s)])
@@ -162,9 +166,12 @@ def half_hull(a, b, q):
 
 
 @given(
-    length=st.floats(1.0, 500.0), aspect=st.floats(1.0, 12.0), theta=st.floats(-7.0, 7.0),
+    length=st.floats(1.0, 500.0),
+    aspect=st.floats(1.0, 12.0),
+    theta=st.floats(-7.0, 7.0),
     q_bow=st.one_of(st.floats(1.0, 20.0), st.just(np.inf)),
-    q_stern=st.one_of(st.floats(1.0, 20.0), st.just(np.inf)), f=st.floats(0.5, 1.0),
+    q_stern=st.one_of(st.floats(1.0, 20.0), st.just(np.inf)),
+    f=st.floats(0.5, 1.0),
 )
 def test_the_box_is_that_of_two_half_superellipses(
     length, aspect, theta, q_bow, q_stern, f
@@ -202,8 +209,14 @@ def test_the_contact_is_that_of_the_side_of_the_bow() -> None:
 @pytest.mark.filterwarnings('error')
 @given(rows=xywhr())
 def test_boxes_out_of_the_ordinary_do_not_change_the_others(rows) -> None:
-    odd = [[np.nan, 0, 4, 2, 0], [0, 0, 4, 2, np.inf], [0, 0, -4, 2, 0], [0, 0, 4, 0, 1],
-           [0, 0, 1e300, 1e299, 1], [1.7e308, 0, 1.7e308, 1.7e308, 0.7]]
+    odd = [
+        [np.nan, 0, 4, 2, 0],
+        [0, 0, 4, 2, np.inf],
+        [0, 0, -4, 2, 0],
+        [0, 0, 4, 0, 1],
+        [0, 0, 1e300, 1e299, 1],
+        [1.7e308, 0, 1.7e308, 1.7e308, 0.7],
+    ]
     rule = HullRule(**ENDS)
     beside = OrientedBoxes.from_xywhr([*rows, *odd], bow=True)
     alone = convert_by_rule(OrientedBoxes.from_xywhr(rows, bow=True), rule)

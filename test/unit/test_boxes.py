@@ -15,8 +15,23 @@ from obbhbb_ros.geometry.boxes import Defect
 # The largest double but for its digits: its square overflows, and GEOS follows.
 _B = 1e308
 CRASHES_GEOS = [
-    (0, 0), (_B, 1), (_B, _B), (_B, 6), (1, 7), (0, 8), (1, _B), (0, 10), (1, 0), (0, 16), (0, 17),
-    (_B, 21), (0, _B), (1, 24), (1, 25), (0, 26), (1, 28),
+    (0, 0),
+    (_B, 1),
+    (_B, _B),
+    (_B, 6),
+    (1, 7),
+    (0, 8),
+    (1, _B),
+    (0, 10),
+    (1, 0),
+    (0, 16),
+    (0, 17),
+    (_B, 21),
+    (0, _B),
+    (1, 24),
+    (1, 25),
+    (0, 26),
+    (1, 28),
 ]
 SQUARE_ON_ITS_TIP = [[2.0, 0.0], [4.0, 2.0], [2.0, 4.0], [0.0, 2.0]]
 
@@ -98,10 +113,20 @@ def test_a_box_that_is_none_is_marked_and_its_neighbours_are_not(row, defect) ->
 
 def test_boxes_with_different_defects_are_told_apart_in_one_batch() -> None:
     good = [5, 5, 4, 2, 0.3]
-    rows = [good, [5, 5, -4, 2, 0.3], [np.nan, 5, 4, 2, 0.3], [5, 5, 4, 0, 0.3], good,
-            [5, np.inf, 4, -2, 0.3]]
+    rows = [
+        good,
+        [5, 5, -4, 2, 0.3],
+        [np.nan, 5, 4, 2, 0.3],
+        [5, 5, 4, 0, 0.3],
+        good,
+        [5, np.inf, 4, -2, 0.3],
+    ]
     assert OrientedBoxes.from_xywhr(rows).defects.tolist() == [
-        Defect.NONE, Defect.NEGATIVE_SIZE, Defect.NOT_FINITE, Defect.EMPTY, Defect.NONE,
+        Defect.NONE,
+        Defect.NEGATIVE_SIZE,
+        Defect.NOT_FINITE,
+        Defect.EMPTY,
+        Defect.NONE,
         Defect.NOT_FINITE,
     ]
 
@@ -130,8 +155,10 @@ def test_a_polygon_without_a_rectangle_is_marked(polygon, defect) -> None:
     'thin',
     [
         [
-            (6.8500510593043965e-301, -477738976.99282265), (3.3333333333333334e-301, 1),
-            (0, -5.336e-321), (-3.3e-322, -796928573.3537534),
+            (6.8500510593043965e-301, -477738976.99282265),
+            (3.3333333333333334e-301, 1),
+            (0, -5.336e-321),
+            (-3.3e-322, -796928573.3537534),
         ],
         # An edge whose squared length underflows.
         [(0.0, 0.0), (0.0, 0.0), (0.0, 1.0), (1.1113793747425424e-162, 0.0)],

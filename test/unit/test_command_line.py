@@ -58,7 +58,11 @@ def test_a_full_disk_leaves_the_old_file_and_one_line(ships: Path, arguments: li
         for each in arguments
     ]
     done = subprocess.run(
-        [*OBBHBB, *command], capture_output=True, text=True, check=False, timeout=120,
+        [*OBBHBB, *command],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
         # Files end after 300 bytes, as they do on a disk that has no more.
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (300, 300)),
         env={**os.environ, 'PYTHONDONTWRITEBYTECODE': '1'},
@@ -76,7 +80,10 @@ def test_output_that_cannot_be_written_is_said(ships: Path) -> None:
     with open('/dev/full', 'w') as full:
         done = subprocess.run(
             [*OBBHBB, 'convert', ships, ships.with_name('out.json'), '--to', 'coco'],
-            stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
         )
     assert done.returncode == 1
     assert done.stderr == 'obbhbb: [Errno 28] No space left on device\n'
@@ -174,7 +181,9 @@ def test_ctrl_c_ends_a_command_in_silence(ships: Path, arguments: list[str]) -> 
     ]
     process = subprocess.Popen(
         [sys.executable, '-c', INTERRUPTED, *command],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         # A shell that starts it in the background has SIGINT ignored.
         preexec_fn=lambda: signal.signal(  # noqa: PLW1509
             signal.SIGINT, signal.default_int_handler
@@ -212,8 +221,10 @@ def test_a_command_that_is_told_to_end_leaves_nothing_behind(ships: Path) -> Non
 def test_a_reader_that_has_seen_enough_is_no_error(ships: Path) -> None:
     reading, writing = os.pipe()
     process = subprocess.Popen(
-        [*OBBHBB, 'evaluate', ships, '--bootstrap', '10'], stdout=writing,
-        stderr=subprocess.PIPE, text=True,
+        [*OBBHBB, 'evaluate', ships, '--bootstrap', '10'],
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     os.close(writing)
     os.close(reading)
@@ -225,12 +236,16 @@ def test_a_reader_that_has_seen_enough_is_no_error(ships: Path) -> None:
 def test_a_file_may_be_the_standard_output(ships: Path) -> None:
     done = subprocess.run(
         [*OBBHBB, 'convert', ships, '/dev/stdout', '--to', 'csv'],
-        check=True, stdout=subprocess.PIPE, text=True, timeout=60,
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=60,
     )
     assert len(done.stdout.splitlines()) > 400
 
 
 # Input from hell ------------------------------------------------------------------------------
+
 
 def test_a_pipe_is_refused_instead_of_waited_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

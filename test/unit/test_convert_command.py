@@ -230,9 +230,7 @@ def test_labels_may_be_converted_in_place(tmp_path: Path) -> None:
     np.testing.assert_allclose(labels.reference, [[1, 2, 9, 4]])
 
 
-def test_the_command_runs_as_a_program_and_is_quiet_in_a_pipe(
-    source: Path, tmp_path: Path
-) -> None:
+def test_the_command_runs_as_a_program_and_is_quiet_in_a_pipe(source: Path, tmp_path: Path) -> None:
     command = [sys.executable, '-m', 'obbhbb_ros.cli', 'convert', source, tmp_path / 'out.json']
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stderr == ''

@@ -97,8 +97,10 @@ def test_swapping_the_sides_with_a_quarter_turn_changes_nothing(method, rows, q,
     turned = rows[:, [0, 1, 3, 2, 4]] + [0, 0, 0, 0, np.pi / 2]
     tolerance = 1e-9 * rows[:, 2:4].max()
     np.testing.assert_allclose(
-        extents(turned, method, q=q, f=f), extents(rows, method, q=q, f=f),
-        rtol=1e-9, atol=tolerance,
+        extents(turned, method, q=q, f=f),
+        extents(rows, method, q=q, f=f),
+        rtol=1e-9,
+        atol=tolerance,
     )
 
 
@@ -106,9 +108,7 @@ def test_swapping_the_sides_with_a_quarter_turn_changes_nothing(method, rows, q,
 @given(rows=xywhr(), q=Q, f=FACTOR, shift=st.integers(-1000, 1000))
 def test_a_shifted_box_gives_the_shifted_result(method, rows, q, f, shift) -> None:
     moved = rows + [shift, -shift, 0, 0, 0]
-    np.testing.assert_array_equal(
-        extents(moved, method, q=q, f=f), extents(rows, method, q=q, f=f)
-    )
+    np.testing.assert_array_equal(extents(moved, method, q=q, f=f), extents(rows, method, q=q, f=f))
     boxes, other = OrientedBoxes.from_xywhr(rows), OrientedBoxes.from_xywhr(moved)
     difference = convert(other, method, q, f) - convert(boxes, method, q, f)
     np.testing.assert_allclose(difference, [[shift, -shift] * 2] * len(rows), atol=1e-9)
@@ -282,8 +282,13 @@ def test_invalid_rows_come_back_as_nan_and_the_others_as_boxes() -> None:
 @pytest.mark.parametrize('method', METHODS)
 @pytest.mark.parametrize(
     'row',
-    [[np.nan, 0, 4, 2, 0], [0, 0, 4, 2, np.inf], [0, 0, -4, 2, 0], [0, 0, 1e300, 1e300, 1],
-     [0, 0, 1e-200, 1e-200, 1]],
+    [
+        [np.nan, 0, 4, 2, 0],
+        [0, 0, 4, 2, np.inf],
+        [0, 0, -4, 2, 0],
+        [0, 0, 1e300, 1e300, 1],
+        [0, 0, 1e-200, 1e-200, 1],
+    ],
 )
 @given(rows=xywhr(), q=st.one_of(Q, st.floats(1.0, 1e308)))
 def test_a_box_out_of_the_ordinary_does_not_change_the_others(method, row, rows, q) -> None:
@@ -315,8 +320,16 @@ def test_a_result_that_overflows_is_nan_not_infinite(method) -> None:
 @pytest.mark.parametrize(
     ('argument', 'value'),
     [
-        ('method', 'magic'), ('q', 0.99), ('q', np.nan), ('q', -np.inf), ('f', 0.0), ('f', 2.01),
-        ('s', -1.0), ('s', np.nan), ('max_length', 0.0), ('max_width', -3.0),
+        ('method', 'magic'),
+        ('q', 0.99),
+        ('q', np.nan),
+        ('q', -np.inf),
+        ('f', 0.0),
+        ('f', 2.01),
+        ('s', -1.0),
+        ('s', np.nan),
+        ('max_length', 0.0),
+        ('max_width', -3.0),
         ('max_length', np.nan),
     ],
 )
@@ -338,9 +351,7 @@ def test_diagnostics_are_those_of_algorithm_1() -> None:
     assert np.isnan([found.t_x[1], found.t_y[1], found.length[1]]).all()
 
 
-@pytest.mark.parametrize(
-    'method', ['superellipse', 'shape_aware', 'outer', 'midpoint', 'gaussian']
-)
+@pytest.mark.parametrize('method', ['superellipse', 'shape_aware', 'outer', 'midpoint', 'gaussian'])
 @given(
     length=st.floats(10.0, 500.0),
     aspect=st.floats(1.1, 12.0),

@@ -27,13 +27,30 @@ MODULES = sorted(
     and '>>> ' in Path(found.module_finder.find_spec(found.name).origin).read_text('utf-8')
 )
 WITH_EXAMPLES = (
-    boxes.OrientedBoxes.from_corners, boxes.OrientedBoxes.from_polygons,
-    boxes.OrientedBoxes.from_xywhr, converter.HullRule, converter.centers_and_extents,
-    converter.convert, converter.convert_by_rule, converter.convert_with_diagnostics,
-    converter.half_extents, converter.to_xyxy, files.replacing, methods.get_method,
-    methods.shape_aware, methods.superellipse, budget.TokenBucket, chips.CodecSettings, chips.cut,
-    chips.format_text, chips.pixel_format, chips.placed, crops.CropSettings, crops.plan_crops,
-    merging.merge_regions, pairing.Pairing,
+    boxes.OrientedBoxes.from_corners,
+    boxes.OrientedBoxes.from_polygons,
+    boxes.OrientedBoxes.from_xywhr,
+    converter.HullRule,
+    converter.centers_and_extents,
+    converter.convert,
+    converter.convert_by_rule,
+    converter.convert_with_diagnostics,
+    converter.half_extents,
+    converter.to_xyxy,
+    files.replacing,
+    methods.get_method,
+    methods.shape_aware,
+    methods.superellipse,
+    budget.TokenBucket,
+    chips.CodecSettings,
+    chips.cut,
+    chips.format_text,
+    chips.pixel_format,
+    chips.placed,
+    crops.CropSettings,
+    crops.plan_crops,
+    merging.merge_regions,
+    pairing.Pairing,
 )
 
 

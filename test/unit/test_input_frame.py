@@ -20,9 +20,13 @@ from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 SIZE = st.integers(32, 4096)
-SHIPS = np.array([
-    [300.0, 200.0, 120.0, 30.0, 0.7], [40.0, 500.0, 60.0, 12.0, -1.2], [9.0, 9.0, 8.0, 3.0, 3.0],
-])
+SHIPS = np.array(
+    [
+        [300.0, 200.0, 120.0, 30.0, 0.7],
+        [40.0, 500.0, 60.0, 12.0, -1.2],
+        [9.0, 9.0, 8.0, 3.0, 3.0],
+    ]
+)
 
 
 def to_network(points, image, network, fit):

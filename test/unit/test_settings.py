@@ -61,8 +61,13 @@ def test_sections_of_other_nodes_are_ignored(written) -> None:
 @pytest.mark.parametrize(
     ('section', 'applies'),
     [
-        ('/a/b/obb_to_hbb', True), ('a/b/obb_to_hbb', True), ('/a/*/obb_to_hbb', True),
-        ('/**/obb_to_hbb', True), ('/a/**', True), ('/*/obb_to_hbb', False), ('obb_to_hbb', False),
+        ('/a/b/obb_to_hbb', True),
+        ('a/b/obb_to_hbb', True),
+        ('/a/*/obb_to_hbb', True),
+        ('/**/obb_to_hbb', True),
+        ('/a/**', True),
+        ('/*/obb_to_hbb', False),
+        ('obb_to_hbb', False),
         ('/a/b', False),
     ],
 )
@@ -112,9 +117,18 @@ def test_the_node_may_be_named_without_the_first_slash(written) -> None:
 @pytest.mark.parametrize(
     ('text', 'value'),
     [
-        ('1e1', 10.0), ('1e-1', 0.1), ('-1E+2', -100.0), ('1.5e3', 1500.0), ('.5e1', 5.0),
-        ('[1e1, 2.0]', [10.0, 2.0]), ('"1e1"', '1e1'), ('1e', '1e'), ('e1', 'e1'), ('1e1s', '1e1s'),
-        ('2.5', 2.5), ('10', 10),
+        ('1e1', 10.0),
+        ('1e-1', 0.1),
+        ('-1E+2', -100.0),
+        ('1.5e3', 1500.0),
+        ('.5e1', 5.0),
+        ('[1e1, 2.0]', [10.0, 2.0]),
+        ('"1e1"', '1e1'),
+        ('1e', '1e'),
+        ('e1', 'e1'),
+        ('1e1s', '1e1s'),
+        ('2.5', 2.5),
+        ('10', 10),
     ],
 )
 def test_numbers_are_those_of_ros(written, text, value) -> None:

@@ -68,9 +68,15 @@ def test_the_books_and_the_next_chips_are_shown(folder, capsys) -> None:
     head, *rows = table.splitlines()
     assert head.split() == ['id', 'class', 'value', 'kB', 'state']
     assert [row.split()[1:4] for row in rows] == [
-        [class_id, value, '1.5'] for class_id, value in (
-            ('ship', '0.6'), ('tug', '0.5'), ('ship', '0.4'), ('tug', '0.3'),
-            ('ship', '0.2'), ('tug', '0.7'), ('ship', '0.8'),
+        [class_id, value, '1.5']
+        for class_id, value in (
+            ('ship', '0.6'),
+            ('tug', '0.5'),
+            ('ship', '0.4'),
+            ('tug', '0.3'),
+            ('ship', '0.2'),
+            ('tug', '0.7'),
+            ('ship', '0.8'),
         )
     ]
     assert [row.split(maxsplit=4)[4] for row in rows] == (
@@ -170,7 +176,9 @@ def test_a_folder_that_cannot_be_listed_is_not_said_to_be_without_spool(folder) 
     limited = ['setpriv', '--bounding-set', held, '--inh-caps', held] if os.getuid() == 0 else []
     done = subprocess.run(
         [*limited, sys.executable, '-m', 'obbhbb_ros.cli', 'spool', folder],
-        capture_output=True, text=True, check=False,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     folder.chmod(0o700)
     assert done.returncode == 1
@@ -205,7 +213,10 @@ def test_letters_that_the_terminal_lacks_are_written_as_numbers(tmp_path) -> Non
     spool.close()
     done = subprocess.run(
         [sys.executable, '-m', 'obbhbb_ros.cli', 'spool', tmp_path],
-        check=False, capture_output=True, text=True, timeout=60,
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
         env=os.environ | {'PYTHONIOENCODING': 'ascii'},
     )
     assert (done.returncode, done.stderr) == (0, '')
@@ -215,9 +226,14 @@ def test_letters_that_the_terminal_lacks_are_written_as_numbers(tmp_path) -> Non
 @pytest.mark.parametrize(
     ('action', 'option'),
     [
-        ('delete', ['--limit', '2']), ('export', ['--limit', '0']), ('revalue', ['--limit', '2']),
-        ('check', ['--json']), ('export', ['--json']), ('list', ['--to', '4']),
-        ('delete', ['--by', '2']), ('list', ['-o', 'out']),
+        ('delete', ['--limit', '2']),
+        ('export', ['--limit', '0']),
+        ('revalue', ['--limit', '2']),
+        ('check', ['--json']),
+        ('export', ['--json']),
+        ('list', ['--to', '4']),
+        ('delete', ['--by', '2']),
+        ('list', ['-o', 'out']),
     ],
 )
 def test_an_option_of_another_action_is_refused(folder, capsys, action, option) -> None:

@@ -26,7 +26,8 @@ RATE = st.floats(1.0, 1e6)
 
 
 @given(
-    rate=RATE, burst=st.floats(0.0, 1e6),
+    rate=RATE,
+    burst=st.floats(0.0, 1e6),
     asked=st.lists(st.tuples(st.floats(0.0, 3.0), st.integers(0, 200_000)), max_size=40),
 )
 def test_no_window_has_more_than_rate_times_window_plus_burst(rate, burst, asked) -> None:
@@ -162,9 +163,12 @@ def test_an_exact_chip_is_never_made_inexact() -> None:
 
 
 @given(
-    sides=st.lists(st.integers(1, 60), max_size=12), rate=st.floats(1.0, 5000.0),
+    sides=st.lists(st.integers(1, 60), max_size=12),
+    rate=st.floats(1.0, 5000.0),
     caps=st.builds(
-        dict, max_chips=st.integers(0, 5), max_bytes=st.integers(0, 5000),
+        dict,
+        max_chips=st.integers(0, 5),
+        max_bytes=st.integers(0, 5000),
         overhead=st.integers(0, 100),
     ),
 )

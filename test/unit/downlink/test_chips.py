@@ -24,7 +24,8 @@ from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.wire.image import WireImage
 
 EXACT = [
-    CodecSettings('png'), CodecSettings('webp', lossless=True),
+    CodecSettings('png'),
+    CodecSettings('webp', lossless=True),
     CodecSettings('jpeg2000', lossless=True),
 ]
 WIDTH, HEIGHT = 37, 29
@@ -47,7 +48,13 @@ def image_of(seen, encoding, is_bigendian=False, padding=0):
     rows = rows.view(np.uint8).reshape(height, -1)
     rows = np.pad(rows, ((0, 0), (0, padding)), constant_values=0xA5)
     return WireImage(
-        (1, 2), 'camera', encoding, width, height, rows.shape[1], is_bigendian,
+        (1, 2),
+        'camera',
+        encoding,
+        width,
+        height,
+        rows.shape[1],
+        is_bigendian,
         memoryview(rows.tobytes()),
     )
 
@@ -133,7 +140,9 @@ def test_an_unknown_encoding_is_refused_with_those_known(encoding) -> None:
 @pytest.mark.parametrize(
     ('wrong', 'message'),
     [
-        ({'width': 0}, '0 x 29'), ({'height': 0}, '37 x 0'), ({'step': 110}, 'step is 110.*111'),
+        ({'width': 0}, '0 x 29'),
+        ({'height': 0}, '37 x 0'),
+        ({'step': 110}, 'step is 110.*111'),
         ({'height': 30}, r'3219 bytes, but the image needs 3330'),
         ({'data': memoryview(b'')}, '0 b'),
     ],
@@ -195,8 +204,10 @@ def test_the_format_text_is_that_of_image_transport(encoding, codec, text) -> No
 @pytest.mark.parametrize(
     ('wrong', 'message'),
     [
-        ({'codec': 'gif'}, '^codec must be one of jpeg'), ({'quality': 0}, '^quality must be 1'),
-        ({'quality': 101}, '^quality'), ({'codec': 'jpeg', 'lossless': True}, '^lossless: jpeg'),
+        ({'codec': 'gif'}, '^codec must be one of jpeg'),
+        ({'quality': 0}, '^quality must be 1'),
+        ({'quality': 101}, '^quality'),
+        ({'codec': 'jpeg', 'lossless': True}, '^lossless: jpeg'),
     ],
 )
 def test_settings_that_cannot_be_are_an_error_that_names_them(wrong, message) -> None:
@@ -223,9 +234,7 @@ def test_a_region_outside_the_image_is_told() -> None:
 
 def test_a_chip_that_the_format_cannot_hold_is_told() -> None:
     wide = np.zeros((1, 20_000, 1), np.uint8)
-    chips, drops = chips_and_drops(
-        wide, [(0, 0, 20_000, 1), (0, 0, 4, 1)], CodecSettings('webp')
-    )
+    chips, drops = chips_and_drops(wide, [(0, 0, 20_000, 1), (0, 0, 4, 1)], CodecSettings('webp'))
     assert chips == [(1, (0, 0, 4, 1))]
     ((reason, region, error),) = drops
     assert (reason, region) == (Dropped.ENCODER, (0, 0, 20_000, 1))

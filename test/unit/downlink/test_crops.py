@@ -25,9 +25,9 @@ SHIP = st.tuples(st.floats(0.0, 150.0), st.floats(0.0, 150.0), SIDE, SIDE).map(
 def frames(draw):
     """Draw boxes (ships, some far out, some NaN) with scores."""
     anything = st.tuples(COORDINATE, COORDINATE, COORDINATE, COORDINATE)
-    corners = draw(st.one_of(
-        st.lists(SHIP, max_size=12), st.lists(st.one_of(SHIP, anything), max_size=12)
-    ))
+    corners = draw(
+        st.one_of(st.lists(SHIP, max_size=12), st.lists(st.one_of(SHIP, anything), max_size=12))
+    )
     array = np.array(corners, dtype=float).reshape(-1, 4)
     low, high = np.minimum(array[:, :2], array[:, 2:]), np.maximum(array[:, :2], array[:, 2:])
     xyxy = np.hstack((low, high))
@@ -283,8 +283,16 @@ def test_no_boxes_give_an_empty_plan() -> None:
 
 @pytest.mark.parametrize(
     ('field', 'value'),
-    [('padding', -0.1), ('padding', np.nan), ('padding_px', np.inf), ('min_size', -1),
-     ('max_count', -2), ('multiple_of', -8), ('merge_max_size', -1), ('max_pixels', -1)],
+    [
+        ('padding', -0.1),
+        ('padding', np.nan),
+        ('padding_px', np.inf),
+        ('min_size', -1),
+        ('max_count', -2),
+        ('multiple_of', -8),
+        ('merge_max_size', -1),
+        ('max_pixels', -1),
+    ],
 )
 def test_a_setting_out_of_range_is_an_error_that_names_it(field, value) -> None:
     with pytest.raises(ValueError, match=f'^{field} must'):

@@ -27,8 +27,12 @@ def test_nothing_is_lost_and_nothing_comes_twice(script, library, tmp_path) -> N
     """A fault at every few calls; the scripts take all of them with --all."""
     environment = {**os.environ, 'LD_PRELOAD': str(library), 'TMPDIR': str(tmp_path)}
     done = subprocess.run(
-        [sys.executable, str(FAULTS / f'{script}.py')], env=environment, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False,
+        [sys.executable, str(FAULTS / f'{script}.py')],
+        env=environment,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        check=False,
     )
     assert done.returncode == 0, done.stdout
     # There were faults, and chips that they cost.

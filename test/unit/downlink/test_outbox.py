@@ -53,8 +53,12 @@ def test_the_json_gets_its_name_last_when_both_are_on_disk(tmp_path, monkeypatch
     # Of the new folder; of the file, its name, of the folder; '' is a folder.
     assert done == [
         ('fsync', ''),
-        ('fsync', '.jpg'), ('replace', '.jpg'), ('fsync', ''),
-        ('fsync', '.json'), ('replace', '.json'), ('fsync', ''),
+        ('fsync', '.jpg'),
+        ('replace', '.jpg'),
+        ('fsync', ''),
+        ('fsync', '.json'),
+        ('replace', '.json'),
+        ('fsync', ''),
     ]
 
 
@@ -101,8 +105,11 @@ def test_what_is_there_is_listed(tmp_path) -> None:
     assert contents.complete == {'a', 'b'}
     assert contents.partial == {'c', 'd'}
     assert [each in contents for each in 'abcde'] == [True] * 4 + [False]
-    sizes = [(tmp_path / each).stat().st_size for each in names(tmp_path)
-             if each[0] in '01' and not each[2:].startswith('.')]
+    sizes = [
+        (tmp_path / each).stat().st_size
+        for each in names(tmp_path)
+        if each[0] in '01' and not each[2:].startswith('.')
+    ]
     assert contents.bytes == sum(sizes)
 
 
@@ -168,5 +175,8 @@ def test_files_of_others_are_left_alone(tmp_path) -> None:
     (tmp_path / '0' / '.a.jpg.Xy12').write_bytes(b'of rsync')
     outbox.remove_unfinished([])
     assert sorted(path.name for path in (tmp_path / '0').iterdir()) == [
-        '.a.jpg.Xy12', '.sync', 'a.jpg', 'a.json',
+        '.a.jpg.Xy12',
+        '.sync',
+        'a.jpg',
+        'a.json',
     ]

@@ -121,7 +121,8 @@ def test_clearing_lets_everything_go() -> None:
     log.add(1, 2, 'regions')
     log.pairing.clear()
     assert [(kind, reason) for kind, reason, _ in log.let_go] == [
-        (0, Unpaired.CLEARED), (1, Unpaired.CLEARED)
+        (0, Unpaired.CLEARED),
+        (1, Unpaired.CLEARED),
     ]
 
 
@@ -179,8 +180,18 @@ def test_stamps_that_differ_by_no_more_than_the_slop_pair(second, kinds, slop) -
 
 @pytest.mark.parametrize(
     ('stamp', 'partner'),
-    [(100, 100), (104, 100), (105, 100), (106, 110), (95, 100), (120, 120), (125, 120),
-     (131, None), (90, 100), (89, None)],
+    [
+        (100, 100),
+        (104, 100),
+        (105, 100),
+        (106, 110),
+        (95, 100),
+        (120, 120),
+        (125, 120),
+        (131, None),
+        (90, 100),
+        (89, None),
+    ],
 )
 def test_the_nearest_waiting_stamp_is_the_partner_the_earlier_of_two(stamp, partner) -> None:
     log, limits = Log(), slop_of(10e-9)
@@ -201,9 +212,7 @@ def test_an_item_is_paired_once_whatever_is_near() -> None:
     assert log.let_go == [(1, Unpaired.DUPLICATE, 'first'), (0, Unpaired.DUPLICATE, 'image')]
 
 
-NANOSECONDS = st.lists(
-    st.tuples(st.integers(0, 1), st.integers(1, 200)), max_size=50, unique=True
-)
+NANOSECONDS = st.lists(st.tuples(st.integers(0, 1), st.integers(1, 200)), max_size=50, unique=True)
 
 
 @given(NANOSECONDS, st.integers(0, 30))

@@ -143,8 +143,11 @@ def test_a_chip_goes_into_the_folder_of_its_level(ground) -> None:
 
 @profile(max_examples=25)
 @given(
-    st.floats(500.0, 20_000.0), st.sampled_from([0.0, 1500.0, 6000.0]), st.sampled_from([0, 100]),
-    st.lists(st.floats(0.0, 0.6), min_size=10, max_size=40), st.data(),
+    st.floats(500.0, 20_000.0),
+    st.sampled_from([0.0, 1500.0, 6000.0]),
+    st.sampled_from([0, 100]),
+    st.lists(st.floats(0.0, 0.6), min_size=10, max_size=40),
+    st.data(),
 )
 def test_the_budget_is_held_in_every_second(
     tmp_path_factory, rate, burst, overhead, pauses, data
@@ -172,9 +175,7 @@ def test_the_budget_is_held_in_every_second(
 
 
 def test_the_most_valuable_chip_is_waited_for(ground) -> None:
-    ground.writer.store(
-        ground.writer.plan(2), [new_chip(0.9, 3000), new_chip(0.8, 10)], {}
-    )
+    ground.writer.store(ground.writer.plan(2), [new_chip(0.9, 3000), new_chip(0.8, 10)], {})
     ground.set(budget=BudgetSettings(bytes_per_second=1000.0, burst=5000.0))
     ground.steps(3)
     assert ground.releaser.stalled_by == 'link budget'
@@ -435,8 +436,15 @@ def test_unfinished_files_of_an_interrupted_release_are_removed(ground, monkeypa
 
 
 def test_a_damaged_chip_is_set_aside_and_holds_up_nothing(ground) -> None:
-    damages = ["data = x'00'", "facts = '{'", "facts = x'ff'", "facts = '[]'", "data = 'a'",
-               "facts = replace(facts, 'jpeg', 'bmp0')", "facts = '{\"sha256\": 1}'"]
+    damages = [
+        "data = x'00'",
+        "facts = '{'",
+        "facts = x'ff'",
+        "facts = '[]'",
+        "data = 'a'",
+        "facts = replace(facts, 'jpeg', 'bmp0')",
+        'facts = \'{"sha256": 1}\'',
+    ]
     store(ground.writer, [0.1 * i for i in range(len(damages) + 2)])
     with database(ground.folder / 'spool') as rows:
         for i, damage in enumerate(damages):
@@ -489,6 +497,7 @@ def test_what_could_not_be_written_costs_nothing_of_the_budget(ground) -> None:
 def test_a_record_that_fails_is_made_up_for(ground, monkeypatch) -> None:
     store(ground.writer, [0.9, 0.8])
     with monkeypatch.context() as patch:
+
         def fail(ids, delivered):
             if ids:
                 raise OSError(errno.EIO, 'Input/output error')
@@ -630,10 +639,15 @@ def test_an_outbox_that_vanishes_between_two_looks_is_not_made_anew(ground) -> N
 
 
 @profile(max_examples=25)
-@given(st.lists(st.tuples(
-    st.sampled_from(['store', 'step', 'take', 'restart', 'contact', 'evict', 'removal']),
-    st.integers(0, 5),
-), max_size=25))
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(['store', 'step', 'take', 'restart', 'contact', 'evict', 'removal']),
+            st.integers(0, 5),
+        ),
+        max_size=25,
+    )
+)
 def test_every_chip_comes_down_once(tmp_path_factory, actions) -> None:
     folder = tmp_path_factory.mktemp('g')
     ground, down = Ground(folder), []

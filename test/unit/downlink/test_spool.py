@@ -74,9 +74,7 @@ def test_a_frame_is_in_work_until_its_chips_are_stored_or_refused(spool) -> None
     assert spool.store(frame, [new_chip(), new_chip()], refused)
     status = counts(spool)
     assert (status.in_work, status.waiting, status.waiting_bytes) == (0, 2, 600)
-    assert status.counts == {
-        'planned': 5, 'refused.encoder_failed': 2, 'refused.outside_image': 1
-    }
+    assert status.counts == {'planned': 5, 'refused.encoder_failed': 2, 'refused.outside_image': 1}
     assert status.total('refused') == 3
 
 
@@ -97,7 +95,10 @@ def test_a_chip_goes_from_waiting_to_released_to_delivered(spool, delivered) -> 
         assert spool.data(chips[0][0].seq) is None
         spool.delivered(ids)
     assert counts(spool).counts == {
-        'planned': 2, 'released': 1, 'delivered': 1, 'delivered_bytes': 300
+        'planned': 2,
+        'released': 1,
+        'delivered': 1,
+        'delivered_bytes': 300,
     }
 
 
@@ -136,8 +137,12 @@ def test_what_is_known_of_a_chip_is_kept(spool) -> None:
     assert described.pop('id') == chip.id == f'1764285402_000000005_{tag}_1'
     assert len(described.pop('sha256')) == 64
     assert described == FACTS | {
-        'stamp': {'sec': 1764285402, 'nanosec': 5}, 'class_id': 'Frachter', 'value': 0.25,
-        'obb': None, 'score': None, 'bytes': 123,
+        'stamp': {'sec': 1764285402, 'nanosec': 5},
+        'class_id': 'Frachter',
+        'value': 0.25,
+        'obb': None,
+        'score': None,
+        'bytes': 123,
     }
     assert spool.data(chip.seq) == given.data
 
@@ -220,7 +225,8 @@ def test_the_overhead_costs_as_well(spool) -> None:
 
 
 CHIPS = st.builds(
-    new_chip, st.floats(allow_nan=False, allow_infinity=False),
+    new_chip,
+    st.floats(allow_nan=False, allow_infinity=False),
     stamp=st.tuples(st.integers(-(2**31), 2**31 - 1), st.integers(0, 2**32 - 1)),
     frame_id=st.text(st.characters(exclude_categories=['Cs']), max_size=30),
 )
@@ -290,9 +296,7 @@ def test_many_are_deleted_and_revalued_in_pieces_so_that_writers_get_their_turn(
     operator = Spool(tmp_path, troubles.append)
     pieces = []
     real = Spool._write
-    monkeypatch.setattr(
-        Spool, '_write', lambda self, work: pieces.append(1) or real(self, work)
-    )
+    monkeypatch.setattr(Spool, '_write', lambda self, work: pieces.append(1) or real(self, work))
     assert operator.revalue('value < ?', [0.5], 2.0, 0.0) == 25
     assert [each.value for each in spool.select()] == [0.9] * 5 + [0.2] * 25
     assert operator.delete('value < ?', [0.5]) == 25
@@ -305,15 +309,11 @@ def test_many_are_deleted_and_revalued_in_pieces_so_that_writers_get_their_turn(
 def test_the_least_valuable_are_evicted_the_oldest_of_equals_first(spool) -> None:
     limit = 0.5 * MB
     for number in range(9):
-        chips = [
-            new_chip(value, 20_000, (number, 0)) for value in (0.1, 0.5, 0.5, 0.9)
-        ]
+        chips = [new_chip(value, 20_000, (number, 0)) for value in (0.1, 0.5, 0.5, 0.9)]
         spool.store(spool.plan(4), chips, {}, limit)
         status = counts(spool)
         assert status.file_bytes <= 1.1 * limit
-    kept = Counter(
-        (chip.value, chip.describe()['stamp']['sec']) for chip in spool.select()
-    )
+    kept = Counter((chip.value, chip.describe()['stamp']['sec']) for chip in spool.select())
     assert status.counts['evicted.max_bytes'] == 36 - kept.total() > 9
     assert all(kept[0.9, number] == 1 for number in range(9))
     assert not any(kept[0.1, number] for number in range(9))
@@ -407,8 +407,12 @@ sys.stdin.read()
 
 def test_frames_of_a_writer_that_was_killed_were_interrupted(tmp_path, troubles) -> None:
     writers = [
-        subprocess.Popen([sys.executable, '-c', WRITER, str(tmp_path), count], text=True,
-                         stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        subprocess.Popen(
+            [sys.executable, '-c', WRITER, str(tmp_path), count],
+            text=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
         for count in '34'
     ]
     killed, alive = writers
@@ -469,7 +473,9 @@ def test_what_cannot_be_written_down_is_counted_later(tmp_path, troubles) -> Non
     blocked.unblock()
     store(spool, [0.7])
     assert counts(spool).counts == {
-        'planned': 11, 'refused.spool_failed': 7, 'refused.encoder_failed': 3
+        'planned': 11,
+        'refused.spool_failed': 7,
+        'refused.encoder_failed': 3,
     }
     assert claim(spool) == [0.7]
     spool.close()
@@ -519,6 +525,7 @@ def overwrite(start, count, content=b'\xa5'):
         with path.open('r+b') as stream:
             stream.seek(at)
             stream.write(content * (count or size - at))
+
     return damage
 
 
@@ -557,8 +564,11 @@ def test_a_damaged_catalogue_is_set_aside(tmp_path, troubles, damage, is_open) -
     assert is_open or status.set_aside == 1
     assert len(files(tmp_path)) == 1 + status.set_aside
     assert path.with_name(path.name + DAMAGED).exists() == status.set_aside
-    assert sum(f'{path} is damaged and set aside' in each for each in troubles) == (
-        len(troubles)) == status.set_aside
+    assert (
+        sum(f'{path} is damaged and set aside' in each for each in troubles)
+        == (len(troubles))
+        == status.set_aside
+    )
     assert sorted(chip.value for chip in spool.select('value in (0.5, 0.6)'))[:1] == [0.5]
     spool.close()
 
@@ -609,7 +619,9 @@ def test_what_was_lost_with_a_log_is_lost_as_a_whole(tmp_path, troubles, suffix)
     """A log that is deleted while nobody has it open takes its transactions with it."""
     killed = subprocess.run(
         [sys.executable, '-c', WRITER + 'import os; os.kill(os.getpid(), 9)', str(tmp_path), '3'],
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, check=False,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        check=False,
     )
     assert killed.returncode == -signal.SIGKILL
     (path,) = files(tmp_path)
@@ -744,9 +756,18 @@ def test_a_file_that_is_not_there_cannot_be_opened(tmp_path) -> None:
         list(intact_chips(tmp_path / 'none.sqlite3'))
 
 
-@pytest.mark.parametrize('damage', ["data = x'00'", "facts = '{'", "facts = x'ff'",
-                                    "facts = '[]'", "data = 'text'", "value = 'text'",
-                                    "facts = replace(facts, 'jpeg', 'bmp0')"])
+@pytest.mark.parametrize(
+    'damage',
+    [
+        "data = x'00'",
+        "facts = '{'",
+        "facts = x'ff'",
+        "facts = '[]'",
+        "data = 'text'",
+        "value = 'text'",
+        "facts = replace(facts, 'jpeg', 'bmp0')",
+    ],
+)
 def test_a_damaged_chip_is_left_out_of_the_intact_ones(tmp_path, damage) -> None:
     path = chips_of(tmp_path)
     with database(tmp_path) as rows:
@@ -799,8 +820,12 @@ class AnyOrder(RuleBasedStateMachine):
         self.frames[which].append(self.writers[which].plan(count))
         self.planned += count
 
-    @rule(which=st.integers(0, 1), values=st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4),
-          refused=st.integers(0, 4), limit=st.sampled_from([0.0, 150_000.0, 250_000.0]))
+    @rule(
+        which=st.integers(0, 1),
+        values=st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4),
+        refused=st.integers(0, 4),
+        limit=st.sampled_from([0.0, 150_000.0, 250_000.0]),
+    )
     def store(self, which, values, refused, limit):
         if self.frames[which]:
             frame = self.frames[which].pop()

@@ -21,14 +21,21 @@ def test_the_first_chip_has_the_stamp_of_its_image() -> None:
 @pytest.mark.parametrize('seconds', [5, 0, -3])
 def test_a_second_has_a_thousand_million_nanoseconds(seconds) -> None:
     assert take(ChipStamps(), (seconds, 999_999_998), 3) == [
-        (seconds, 999_999_998), (seconds, 999_999_999), (seconds + 1, 0)
+        (seconds, 999_999_998),
+        (seconds, 999_999_999),
+        (seconds + 1, 0),
     ]
 
 
-@given(st.lists(st.tuples(
-    st.tuples(st.integers(0, 2), st.sampled_from([0, 3, 10, 999_999_995, 999_999_999])),
-    st.integers(0, 100),
-), max_size=20))
+@given(
+    st.lists(
+        st.tuples(
+            st.tuples(st.integers(0, 2), st.sampled_from([0, 3, 10, 999_999_995, 999_999_999])),
+            st.integers(0, 100),
+        ),
+        max_size=20,
+    )
+)
 def test_none_is_given_twice(images) -> None:
     stamps = ChipStamps()
     given_out = []

@@ -51,9 +51,9 @@ SOUND = {
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3),
-    lambda inner: st.lists(inner, max_size=4)
-    | st.dictionaries(
-        st.sampled_from(['id', 'type', 'coordinates', 'x']), inner, max_size=4
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.sampled_from(['id', 'type', 'coordinates', 'x']), inner, max_size=4)
     ),
     max_leaves=8,
 )

@@ -175,9 +175,7 @@ class TestABadRecord:
     ) -> None:
         path = self._put(put, name, text, bad)
         errors: list[LabelError] = []
-        (labels,) = read_labels(
-            path, format_name, image_size=(100, 100), on_error=errors.append
-        )
+        (labels,) = read_labels(path, format_name, image_size=(100, 100), on_error=errors.append)
         assert [error.line for error in errors] == [3]
         assert len(labels.class_ids) == 2
 

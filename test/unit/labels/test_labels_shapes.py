@@ -189,9 +189,7 @@ def test_a_table_of_wkt_may_name_images_and_scores(put: Put) -> None:
         (f'"{WKT}",ship', '3 fields'),
     ],
 )
-def test_a_malformed_row_of_wkt_is_reported_with_its_line(
-    put: Put, row: str, message: str
-) -> None:
+def test_a_malformed_row_of_wkt_is_reported_with_its_line(put: Put, row: str, message: str) -> None:
     errors: list[LabelError] = []
     path = put('a.csv', f'class,wkt\nship,"{WKT}"\nship,{row}\nship,"{WKT}"\n')
     (labels,) = read_labels(path, on_error=errors.append)

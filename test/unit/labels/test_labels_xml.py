@@ -133,8 +133,13 @@ def _hrsc_ship(size: str, angle: float, head: str) -> str:
     width, height = size.split()
     x, y = head.split(' ', 1)
     values = {
-        'mbox_cx': 200, 'mbox_cy': 300, 'mbox_w': width, 'mbox_h': height, 'mbox_ang': angle,
-        'header_x': x, 'header_y': y,
+        'mbox_cx': 200,
+        'mbox_cy': 300,
+        'mbox_w': width,
+        'mbox_h': height,
+        'mbox_ang': angle,
+        'header_x': x,
+        'header_y': y,
     }
     tags = ''.join(f'<{tag}>{value}</{tag}>' for tag, value in values.items())
     return f'<HRSC_Object>{tags}</HRSC_Object>'

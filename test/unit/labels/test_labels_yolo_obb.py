@@ -259,9 +259,7 @@ def test_names_are_numbered_by_classes_txt(make: Make, tmp_path: Path) -> None:
     assert [each.class_ids for each in read] == [('ship',), ('7', 'ship')]
 
 
-def test_names_that_classes_txt_has_keep_their_number(
-    put: Put, make: Make, tmp_path: Path
-) -> None:
+def test_names_that_classes_txt_has_keep_their_number(put: Put, make: Make, tmp_path: Path) -> None:
     put('classes.txt', 'plane\nship\n')
     boxes = [IN_BOX._replace(class_id=name) for name in ('buoy', 'ship')]
     write_labels(tmp_path, [make('a', *boxes, size=SIZE)], 'yolo_obb')

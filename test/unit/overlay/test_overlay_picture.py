@@ -101,7 +101,8 @@ def test_lines_grow_with_the_picture(side: int, width: int) -> None:
 def test_the_picture_shrinks_with_everything_in_it(scale: float) -> None:
     image = grey(400, 300)
     pixels = drawn(
-        image, Layer('#ff0000', corners((200, 150, 200, 100, 0))),
+        image,
+        Layer('#ff0000', corners((200, 150, 200, 100, 0))),
         style=Style(scale=scale, quality=100),
     )
     assert pixels.shape == (round(300 * scale), round(400 * scale), 3)
@@ -130,6 +131,7 @@ def test_a_picture_without_boxes_is_the_image() -> None:
 
 
 # Encodings ------------------------------------------------------------------------------------
+
 
 @pytest.mark.parametrize('padding', [0, 6])
 @pytest.mark.parametrize('encoding', PIXEL_FORMATS)
@@ -184,6 +186,7 @@ def test_a_style_out_of_range_is_refused(values: dict[str, Any]) -> None:
 
 
 # Labels ---------------------------------------------------------------------------------------
+
 
 def labelled(
     image: WireImage, *rows: Any, scores: Any = None, labels: bool = True
@@ -246,9 +249,12 @@ def test_a_box_outside_has_no_label() -> None:
 @pytest.mark.parametrize(
     ('class_id', 'score', 'text'),
     [
-        ('ship', 1.0, 'ship 1.00'), ('', 0.5, '0.50'), ('', np.nan, ''),
+        ('ship', 1.0, 'ship 1.00'),
+        ('', 0.5, '0.50'),
+        ('', np.nan, ''),
         ('a\nb\0', 0.5, 'a?b? 0.50'),
-        ('x' * 100, 0.5, 'x' * 23 + '… 0.50'), ('x' * 24, np.nan, 'x' * 24),
+        ('x' * 100, 0.5, 'x' * 23 + '… 0.50'),
+        ('x' * 24, np.nan, 'x' * 24),
         ('ship', np.inf, 'ship inf'),
     ],
 )
@@ -257,6 +263,7 @@ def test_a_label_is_one_short_line(class_id: str, score: float, text: str) -> No
 
 
 # Colours and edges ----------------------------------------------------------------------------
+
 
 def test_the_colours_are_those_of_the_report() -> None:
     assert LAYER_COLORS['crop_regions'] == METHOD_COLORS['outer']

@@ -51,7 +51,8 @@ class Page(HTMLParser):
     def all(self, tag: str, class_: str | None = None) -> list[dict[str, str | None]]:
         """Give the attributes of the elements of a kind."""
         return [
-            found for name, found in self.elements
+            found
+            for name, found in self.elements
             if name == tag and class_ in (None, found.get('class'))
         ]
 
@@ -72,11 +73,20 @@ def test_the_most_valuable_chip_is_first_then_the_oldest(tmp_path) -> None:
 
 
 def test_a_card_states_the_facts_and_draws_the_place_in_the_frame(tmp_path) -> None:
-    put(tmp_path / 'box', *a_chip(
-        id='of_it', class_id='tug', score=0.25, value=1.75, detection_ids=['1', '2'],
-        roi=[10, 20, 30, 40], image_size=[200, 100], obb=[50, 60, 40, 20, 0.0],
-        stamp={'sec': FIRST_STAMP, 'nanosec': 5_999_999},
-    ))
+    put(
+        tmp_path / 'box',
+        *a_chip(
+            id='of_it',
+            class_id='tug',
+            score=0.25,
+            value=1.75,
+            detection_ids=['1', '2'],
+            roi=[10, 20, 30, 40],
+            image_size=[200, 100],
+            obb=[50, 60, 40, 20, 0.0],
+            stamp={'sec': FIRST_STAMP, 'nanosec': 5_999_999},
+        ),
+    )
     page = gallery(tmp_path / 'box')
     text = ' '.join(page.text.split())
     assert 'tug, score 0.250, value 1.75, 2 detections' in text
@@ -205,20 +215,41 @@ def test_hostile_texts_are_shown_as_they_are_and_do_nothing(tmp_path, capsys) ->
     assert page.text.count(shown) == 5
     assert page.all('img')[0]['alt'] == shown
     for said in (page.text, capsys.readouterr().err):
-        assert '0/"><script>.json: key \'id\' is missing' in said
+        assert "0/\"><script>.json: key 'id' is missing" in said
         assert '0/\\udcff/\\x1b[2J.jpg: no usable JSON; 1 such files in all' in said
 
 
 WRONG = [
-    ('id', 5), ('stamp', 1.5), ('stamp', {'sec': 1}), ('stamp', {'sec': 1, 'nanosec': 2**32}),
-    ('stamp', {'sec': 2**31, 'nanosec': 0}), ('stamp', {'sec': 0, 'nanosec': -1}),
+    ('id', 5),
+    ('stamp', 1.5),
+    ('stamp', {'sec': 1}),
+    ('stamp', {'sec': 1, 'nanosec': 2**32}),
+    ('stamp', {'sec': 2**31, 'nanosec': 0}),
+    ('stamp', {'sec': 0, 'nanosec': -1}),
     ('stamp', {'sec': True, 'nanosec': 0}),
-    ('frame_id', None), ('roi', [1, 2, 3]), ('roi', [1, 2, 3, 0]), ('roi', [1, 2, 3.5, 4]),
-    ('roi', {}), ('image_size', [0, 5]), ('image_size', '10x10'), ('class_id', ['tug']),
-    ('score', '0.5'), ('score', float('nan')), ('value', None), ('value', float('inf')),
-    ('value', 10**400), ('value', True), ('detection_ids', 'a'), ('detection_ids', [1]),
-    ('obb', [1, 2, 3, 4]), ('obb', [1, 2, 3, 4, None]), ('codec', 'gif'), ('codec', ['png']),
-    ('bytes', -1), ('sha256', 7), ('camera_matrix', [1.0]),
+    ('frame_id', None),
+    ('roi', [1, 2, 3]),
+    ('roi', [1, 2, 3, 0]),
+    ('roi', [1, 2, 3.5, 4]),
+    ('roi', {}),
+    ('image_size', [0, 5]),
+    ('image_size', '10x10'),
+    ('class_id', ['tug']),
+    ('score', '0.5'),
+    ('score', float('nan')),
+    ('value', None),
+    ('value', float('inf')),
+    ('value', 10**400),
+    ('value', True),
+    ('detection_ids', 'a'),
+    ('detection_ids', [1]),
+    ('obb', [1, 2, 3, 4]),
+    ('obb', [1, 2, 3, 4, None]),
+    ('codec', 'gif'),
+    ('codec', ['png']),
+    ('bytes', -1),
+    ('sha256', 7),
+    ('camera_matrix', [1.0]),
 ]
 
 
@@ -239,7 +270,7 @@ def test_a_wrong_type_is_a_problem_that_names_file_and_key(tmp_path, capsys, key
     [
         (-5, 250_000_000, '-5 s + 250000000 ns', '1969-12-31 23:59:55.250 UTC'),
         (7, 4_000_000_000, '7 s + 4000000000 ns', '1970-01-01 00:00:11.000 UTC'),
-        (-2**31, 0, '-2147483648 s + 0 ns', '1901-12-13 20:45:52.000 UTC'),
+        (-(2**31), 0, '-2147483648 s + 0 ns', '1901-12-13 20:45:52.000 UTC'),
         (2**31 - 1, 2**32 - 1, '2147483647 s + 4294967295 ns', '2038-01-19 03:14:11.294 UTC'),
     ],
 )
@@ -294,7 +325,8 @@ def test_a_json_that_cannot_be_read_is_a_problem(tmp_path, capsys, content) -> N
         (lambda path: path.write_bytes(b'short'), 'damaged: 5 bytes instead of ', 1),
         (
             lambda path: path.write_bytes(path.read_bytes()[:-1] + b'!'),
-            'damaged: sha256 differs', 1,
+            'damaged: sha256 differs',
+            1,
         ),
     ],
     ids=['missing', 'size', 'sha256'],

@@ -43,8 +43,11 @@ def placed(x, y, length, width, theta):
 
 
 @given(
-    x=st.floats(-1e3, 1e3), y=st.floats(-1e3, 1e3), length=st.floats(5.0, 200.0),
-    slimness=st.floats(1.2, 9.0), theta=st.floats(-np.pi, np.pi),
+    x=st.floats(-1e3, 1e3),
+    y=st.floats(-1e3, 1e3),
+    length=st.floats(5.0, 200.0),
+    slimness=st.floats(1.2, 9.0),
+    theta=st.floats(-np.pi, np.pi),
 )
 def test_the_bow_is_where_the_hull_is_pointed_however_the_ship_lies(
     x, y, length, slimness, theta
@@ -64,9 +67,18 @@ def test_without_a_hull_or_with_ends_alike_the_bow_is_not_known() -> None:
 def test_the_end_with_less_area_in_the_outer_30_percent_counts() -> None:
     # A notch forward of amidships that ends short of the last 30 %, 4 px from the centre.
     boxes = OrientedBoxes.from_xywhr([[0.0, 0, 20, 4, 0]])
-    amidships = np.array([
-        (-10, -2), (1, -2), (1, 0), (3.9, 0), (3.9, -2), (10, -2), (10, 2), (-10, 2.0),
-    ])
+    amidships = np.array(
+        [
+            (-10, -2),
+            (1, -2),
+            (1, 0),
+            (3.9, 0),
+            (3.9, -2),
+            (10, -2),
+            (10, 2),
+            (-10, 2.0),
+        ]
+    )
     forward = amidships.copy()
     forward[3:5, 0] = 4.5
     assert bow_sides(boxes, [amidships]).tolist() == [0]
@@ -75,10 +87,13 @@ def test_the_end_with_less_area_in_the_outer_30_percent_counts() -> None:
 
 def test_boxes_with_bows_are_converted_to_the_same_boxes_by_one_q() -> None:
     random = np.random.default_rng(3)
-    rows = np.column_stack((
-        random.uniform(0, 500, (200, 2)), random.uniform(2, 90, (200, 2)),
-        random.uniform(-4, 4, 200),
-    ))
+    rows = np.column_stack(
+        (
+            random.uniform(0, 500, (200, 2)),
+            random.uniform(2, 90, (200, 2)),
+            random.uniform(-4, 4, 200),
+        )
+    )
     boxes = OrientedBoxes.from_xywhr(rows)
     known = with_bows(boxes, random.choice(np.array([-1, 0, 1], np.int8), 200))
     expected = convert_by_rule(boxes, HullRule(q=3.3))
@@ -90,10 +105,14 @@ def heading(count=120, rule=TWO_ENDS, known=True, noise=0.0):
     """Ships that head anywhere, one an image; a rule makes their references."""
     random = np.random.default_rng(1)
     length = random.uniform(40, 120, count)
-    rows = np.column_stack((
-        random.uniform(0, 500, (count, 2)), length, length / random.uniform(2, 6, count),
-        random.uniform(-np.pi, np.pi, count),
-    ))
+    rows = np.column_stack(
+        (
+            random.uniform(0, 500, (count, 2)),
+            length,
+            length / random.uniform(2, 6, count),
+            random.uniform(-np.pi, np.pi, count),
+        )
+    )
     boxes = OrientedBoxes.from_xywhr(rows, bow=True)
     reference = convert_by_rule(boxes, rule) + noise * random.normal(size=(count, 4))
     ships = fleet(rows, reference, images=range(count))
@@ -158,8 +177,13 @@ def test_calibrate_writes_the_ends_that_it_fits_and_only_those(tmp_path, capsys)
     count = len(image.class_ids)
     pieces = [
         replace(
-            image, image=name, corners=image.corners[rows], class_ids=image.class_ids[rows],
-            ids=image.ids[rows], scores=image.scores[rows], reference=image.reference[rows],
+            image,
+            image=name,
+            corners=image.corners[rows],
+            class_ids=image.class_ids[rows],
+            ids=image.ids[rows],
+            scores=image.scores[rows],
+            reference=image.reference[rows],
             hulls=image.hulls[rows],
         )
         for name, rows in (('a', slice(0, count // 2)), ('b', slice(count // 2, None)))
@@ -199,8 +223,19 @@ def test_evaluate_scores_the_ends_it_is_given(tmp_path, capsys) -> None:
     expected = convert_by_rule(boxes, HullRule(q_bow=2.0, q_stern=6.0))
     write_labels(tmp_path / 'ships.csv', [replace(image, reference=expected)])
     command = [
-        'evaluate', str(tmp_path / 'ships.csv'), '--protocol', 'hbb', '--bootstrap', '0',
-        '--methods', 'superellipse', 'outer', '--q-bow', '2', '--q-stern', '6',
+        'evaluate',
+        str(tmp_path / 'ships.csv'),
+        '--protocol',
+        'hbb',
+        '--bootstrap',
+        '0',
+        '--methods',
+        'superellipse',
+        'outer',
+        '--q-bow',
+        '2',
+        '--q-stern',
+        '6',
     ]
     assert main([*command, '--bow', 'first-edge']) == 0
     printed = capsys.readouterr()

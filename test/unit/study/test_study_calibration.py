@@ -49,10 +49,16 @@ def made_by(rule, count=200, seed=0, noise=0.0, per_image=1, classes=None):
     """Ships whose references are what a rule makes of them, up to noise, a part of the sides."""
     random = np.random.default_rng(seed)
     length = random.uniform(40, 120, count)
-    rows = np.stack((
-        random.uniform(0, 500, count), random.uniform(0, 500, count), length,
-        length / random.uniform(2, 9, count), random.uniform(-2, 2, count),
-    ), axis=1)
+    rows = np.stack(
+        (
+            random.uniform(0, 500, count),
+            random.uniform(0, 500, count),
+            length,
+            length / random.uniform(2, 9, count),
+            random.uniform(-2, 2, count),
+        ),
+        axis=1,
+    )
     boxes = OrientedBoxes.from_xywhr(rows)
     reference = convert_by_rule(boxes, rule)
     sides = np.tile(reference[:, 2:] - reference[:, :2], 2)
@@ -73,10 +79,20 @@ def test_the_papers_grid_has_120_settings() -> None:
 @pytest.mark.parametrize('method', ['superellipse', 'shape_aware'])
 def test_a_grid_search_is_algorithm_2(real, method) -> None:
     surface = search(Bench(real, method), SMALL)
-    expected = np.array([
-        [[iou(convert_by_rule(real.boxes, HullRule(method, q, f, s)), real.reference).mean()
-          for s in SMALL.s] for f in SMALL.f] for q in SMALL.q
-    ])
+    expected = np.array(
+        [
+            [
+                [
+                    iou(
+                        convert_by_rule(real.boxes, HullRule(method, q, f, s)), real.reference
+                    ).mean()
+                    for s in SMALL.s
+                ]
+                for f in SMALL.f
+            ]
+            for q in SMALL.q
+        ]
+    )
     np.testing.assert_allclose(surface.mean_iou, expected, rtol=1e-12)
     i, j, k = np.unravel_index(expected.argmax(), expected.shape)
     assert surface.best() == (SMALL.q[i], SMALL.f[j], SMALL.s[k])
@@ -200,9 +216,7 @@ def test_the_share_is_kept_on_average_over_new_ships(share, part) -> None:
 
 def test_the_guarantee_for_images_holds_where_ships_of_an_image_are_alike() -> None:
     misses, total = 0.0, 0.0
-    plan = Plan(
-        objective='coverage', grid=SMALL, refine=False, keep=0.9, share=0.8, per_image=5
-    )
+    plan = Plan(objective='coverage', grid=SMALL, refine=False, keep=0.9, share=0.8, per_image=5)
     for seed in range(25):
         known, new = (alike(images=60, seed=s) for s in (seed, 500 + seed))
         rule = calibrate(known, plan)
@@ -311,12 +325,15 @@ def test_classes_of_different_hulls_gain_by_rules_of_their_own() -> None:
     slim = made_by(HullRule('superellipse', 1.5), 80, 1)
     full = made_by(HullRule('superellipse', 9.0), 80, 2)
     both = fleet(
-        np.concatenate([
-            np.column_stack((*s.boxes.center, s.boxes.length, s.boxes.width, s.boxes.theta))
-            for s in (slim, full)
-        ]),
+        np.concatenate(
+            [
+                np.column_stack((*s.boxes.center, s.boxes.length, s.boxes.width, s.boxes.theta))
+                for s in (slim, full)
+            ]
+        ),
         np.concatenate((slim.reference, full.reference)),
-        ['yacht'] * 80 + ['barge'] * 80, range(160),
+        ['yacht'] * 80 + ['barge'] * 80,
+        range(160),
     )
     shared = held_out_boxes(both, Plan(), 2)
     by_class = partial(class_groups, ['yacht', 'barge'])
@@ -335,8 +352,10 @@ def test_bands_of_aspect_are_cut_where_the_known_ships_are() -> None:
 @pytest.mark.parametrize(
     ('count', 'plan', 'answer'),
     [
-        (29, Plan(), False), (30, Plan(), True),
-        (30, Plan(objective='coverage'), False), (38, Plan(objective='coverage'), True),
+        (29, Plan(), False),
+        (30, Plan(), True),
+        (30, Plan(objective='coverage'), False),
+        (38, Plan(objective='coverage'), True),
     ],
 )
 def test_a_group_is_large_enough_or_not(count, plan, answer) -> None:
@@ -353,6 +372,7 @@ def test_the_synthetic_hulls_prefer_the_exact_projection() -> None:
 
 
 # What is fitted beside q ----------------------------------------------------------------------
+
 
 def test_q_alone_is_fitted_where_f_and_s_gain_nothing() -> None:
     ships = made_by(HullRule('superellipse', 3.3), noise=0.03)

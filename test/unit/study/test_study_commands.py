@@ -25,10 +25,21 @@ SIGNATURES = {'.png': b'\x89PNG', '.svg': b'<?xml', '.pdf': b'%PDF'}
 
 def test_evaluate_prints_tables_and_writes_files(tmp_path, capsys) -> None:
     files = [tmp_path / 'new' / name for name in ('a.json', 'b.csv')]
-    code = main([
-        'evaluate', str(REAL), '--bootstrap', '20', '--methods', 'superellipse', 'outer',
-        '--json', str(files[0]), '--csv', str(files[1]),
-    ])
+    code = main(
+        [
+            'evaluate',
+            str(REAL),
+            '--bootstrap',
+            '20',
+            '--methods',
+            'superellipse',
+            'outer',
+            '--json',
+            str(files[0]),
+            '--csv',
+            str(files[1]),
+        ]
+    )
     out = capsys.readouterr().out
     assert code == 0
     assert 'protocol obb: against the oriented box itself, 40 ships in' in out
@@ -68,10 +79,20 @@ def test_reference_boxes_of_another_file_are_matched(tmp_path, capsys) -> None:
     write_labels(tmp_path / 'ships.csv', [labels('a', [[0, 0, 20, 10]])])
     drawn = [[0.0, 0.0, 20.0, 8.0]]
     write_labels(tmp_path / 'drawn.csv', [labels('a', drawn, drawn)])
-    code = main([
-        'evaluate', str(tmp_path / 'ships.csv'), '--reference', str(tmp_path / 'drawn.csv'),
-        '--protocol', 'hbb', '--methods', 'outer', '--bootstrap', '0',
-    ])
+    code = main(
+        [
+            'evaluate',
+            str(tmp_path / 'ships.csv'),
+            '--reference',
+            str(tmp_path / 'drawn.csv'),
+            '--protocol',
+            'hbb',
+            '--methods',
+            'outer',
+            '--bootstrap',
+            '0',
+        ]
+    )
     assert code == 0
     printed = capsys.readouterr()
     assert re.search(r'^outer +0\.8000 ', printed.out, re.MULTILINE)

@@ -33,15 +33,23 @@ def two_classes(first, second, count=60):
     """Ships of two classes, the references of each made by a rule of its own."""
     random = np.random.default_rng(5)
     length = random.uniform(40, 120, 2 * count)
-    rows = np.stack((
-        random.uniform(0, 500, 2 * count), random.uniform(0, 500, 2 * count), length,
-        length / random.uniform(2, 9, 2 * count), random.uniform(-2, 2, 2 * count),
-    ), axis=1)
+    rows = np.stack(
+        (
+            random.uniform(0, 500, 2 * count),
+            random.uniform(0, 500, 2 * count),
+            length,
+            length / random.uniform(2, 9, 2 * count),
+            random.uniform(-2, 2, 2 * count),
+        ),
+        axis=1,
+    )
     boxes = OrientedBoxes.from_xywhr(rows)
-    reference = np.concatenate((
-        convert_by_rule(boxes.take(slice(None, count)), first),
-        convert_by_rule(boxes.take(slice(count, None)), second),
-    ))
+    reference = np.concatenate(
+        (
+            convert_by_rule(boxes.take(slice(None, count)), first),
+            convert_by_rule(boxes.take(slice(count, None)), second),
+        )
+    )
     return fleet(rows, reference, ['yacht'] * count + ['barge'] * count, range(2 * count))
 
 
@@ -204,7 +212,9 @@ def with_margin(margin, scale):
     """Ships whose references are a margin larger than their default boxes."""
     ships = two_classes(HullRule(), HullRule(), count=100)
     boxes = OrientedBoxes(
-        ships.boxes.center, ships.boxes.long_axis * scale, ships.boxes.short_axis * scale,
+        ships.boxes.center,
+        ships.boxes.long_axis * scale,
+        ships.boxes.short_axis * scale,
         ships.boxes.defects,
     )
     reference = convert_by_rule(boxes, HullRule()) + margin * np.array([-1, -1, 1, 1])

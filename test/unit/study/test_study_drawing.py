@@ -31,8 +31,10 @@ def test_a_method_without_a_colour_is_drawn_all_the_same(monkeypatch) -> None:
 
 def test_a_scene_is_drawn_with_and_without_hulls(tmp_path) -> None:
     for labels in (harbour(), next(iter(read_labels(REAL)))):
-        boxes = {name: np.hstack((labels.corners.min(axis=1), labels.corners.max(axis=1)))
-                 for name in ONBOARD_METHODS}
+        boxes = {
+            name: np.hstack((labels.corners.min(axis=1), labels.corners.max(axis=1)))
+            for name in ONBOARD_METHODS
+        }
         drawing.save(drawing.scene_figure(labels, boxes), tmp_path / 'scene.png')
         assert (tmp_path / 'scene.png').read_bytes().startswith(b'\x89PNG')
 

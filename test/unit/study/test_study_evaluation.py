@@ -50,15 +50,17 @@ def scores(real):
 @pytest.mark.parametrize(
     ('method', 'mean_iou'),
     [
-        ('superellipse', 0.92001), ('shape_aware', 0.82121), ('outer', 0.80998),
-        ('midpoint', 0.80704), ('gaussian', 0.89033), ('gaussian_published', 0.38644),
+        ('superellipse', 0.92001),
+        ('shape_aware', 0.82121),
+        ('outer', 0.80998),
+        ('midpoint', 0.80704),
+        ('gaussian', 0.89033),
+        ('gaussian_published', 0.38644),
         ('area_equivalent_published', 0.25658),
     ],
 )
 def test_mean_iou_with_drawn_boxes_of_real_ships(scores, method, mean_iou) -> None:
-    (score,) = [
-        s for s in scores if (s.protocol, s.stratum, s.method) == ('hbb', ALL, method)
-    ]
+    (score,) = [s for s in scores if (s.protocol, s.stratum, s.method) == ('hbb', ALL, method)]
     assert score.iou == pytest.approx(mean_iou, abs=5e-5)
     assert score.iou_low < score.iou < score.iou_high
 
@@ -180,7 +182,10 @@ def test_each_class_is_converted_under_its_own_rule() -> None:
 def test_every_table_names_its_protocol(scores) -> None:
     tables = score_tables(scores).split('\n\n')
     assert [('protocol obb' in t, 'protocol hbb' in t) for t in tables] == [
-        (True, False), (True, False), (False, True), (False, True),
+        (True, False),
+        (True, False),
+        (False, True),
+        (False, True),
     ]
 
 
@@ -213,6 +218,7 @@ def test_csv_reads_back_as_the_scores(scores, tmp_path) -> None:
 
 
 # Figures worked out by hand -------------------------------------------------------------------
+
 
 def overall(ships, rules=None, **options):
     """Scores over all ships, protocol hbb, by method."""
@@ -317,7 +323,8 @@ def test_the_interval_of_a_median_is_that_of_medians_of_drawn_images(pairs) -> N
     _, index = np.unique(images, return_inverse=True)
     medians = [
         np.median(np.repeat(values, times[index].astype(int)))
-        for batch in draws(index.max() + 1, 20, 4) for times in batch
+        for batch in draws(index.max() + 1, 20, 4)
+        for times in batch
     ]
     assert found == pytest.approx(tuple(np.quantile(medians, (0.025, 0.975))))
 

@@ -51,9 +51,7 @@ def test_the_other_numbers_are_predictions_and_keep_their_distance(comparison) -
 def test_the_papers_numbers_stand_where_the_paper_has_them(
     comparison, family, row, fullness, value
 ) -> None:
-    (cell,) = [
-        c for c in comparison if (c.family, c.row, c.fullness) == (family, row, fullness)
-    ]
+    (cell,) = [c for c in comparison if (c.family, c.row, c.fullness) == (family, row, fullness)]
     assert cell.paper == value
 
 

@@ -106,9 +106,7 @@ SIDE = st.integers(1, 20)
 
 @st.composite
 def _boxes(draw: st.DrawFn, distinct: bool = False) -> np.ndarray:
-    rows = draw(
-        st.lists(st.tuples(POSITION, POSITION, SIDE, SIDE), max_size=12, unique=distinct)
-    )
+    rows = draw(st.lists(st.tuples(POSITION, POSITION, SIDE, SIDE), max_size=12, unique=distinct))
     array = np.array(rows, dtype=np.float64).reshape(-1, 4)
     array[:, 2:] += array[:, :2]
     return array

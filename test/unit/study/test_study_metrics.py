@@ -112,8 +112,10 @@ def test_the_papers_order_of_methods_comes_out_against_the_oriented_box() -> Non
     # Its ShipRSImageNet table: shape-aware, outer, area-equivalent, Gaussian, each as published.
     ships = read_ships([REAL])
     rules = {
-        'shape_aware': {'q': 2.2, 'f': 0.9}, 'outer': {},
-        'area_equivalent_published': {}, 'gaussian_published': {},
+        'shape_aware': {'q': 2.2, 'f': 0.9},
+        'outer': {},
+        'area_equivalent_published': {},
+        'gaussian_published': {},
     }
     means = [
         overlap_with_obb(convert(ships.boxes, name, **parameters), ships.boxes).iou.mean()

@@ -159,9 +159,7 @@ def test_long_messages_of_few_kinds_are_read_whole(count, kinds) -> None:
     padding=PADDING,
     trailing=st.integers(0, 6),
 )
-def test_long_mixed_messages_are_read_whole(
-    order, kinds, picks, padding, trailing
-) -> None:
+def test_long_mixed_messages_are_read_whole(order, kinds, picks, padding, trailing) -> None:
     detections = tuple(kinds[pick % len(kinds)] for pick in picks)
     message = Message(detections=detections)
     data = encode(message, order, padding) + bytes(trailing)
@@ -179,7 +177,9 @@ def test_many_detections_of_one_frame_take_no_step_for_each(
 ) -> None:
     detections = tuple(
         Detection(
-            stamp=(1_800_000_000, i), frame_id=frame_id, id=str(i * i % 50),
+            stamp=(1_800_000_000, i),
+            frame_id=frame_id,
+            id=str(i * i % 50),
             bbox=(float(i), 1.0, 2.0, 3.0, 4.0),
             results=tuple(Hypothesis(class_ids[i % len(class_ids)], 0.5) for _ in range(results)),
         )
@@ -197,8 +197,11 @@ def test_many_detections_of_one_frame_take_no_step_for_each(
 @pytest.mark.parametrize(
     'odd_one',
     [
-        Detection(frame_id='other'), Detection(results=(Hypothesis(),) * 2),
-        Detection(id='y' * 130), Detection(results=(Hypothesis('z' * 130),)), Detection(id='new'),
+        Detection(frame_id='other'),
+        Detection(results=(Hypothesis(),) * 2),
+        Detection(id='y' * 130),
+        Detection(results=(Hypothesis('z' * 130),)),
+        Detection(id='new'),
     ],
 )
 def test_one_detection_unlike_the_others_is_found_among_many(odd_one) -> None:
@@ -274,7 +277,11 @@ def test_a_count_of_hypotheses_that_the_message_cannot_hold_is_refused() -> None
 @pytest.mark.parametrize(
     'data',
     [
-        b'', b'\0', b'\0\1\0', b'\0\2\0\0' + bytes(40), b'\0\3\0\0' + bytes(40),
+        b'',
+        b'\0',
+        b'\0\1\0',
+        b'\0\2\0\0' + bytes(40),
+        b'\0\3\0\0' + bytes(40),
         b'\1\1\0\0' + bytes(40),
     ],
 )

@@ -36,8 +36,10 @@ def best_of(results):
     """The best hypothesis, the first of equals; NaN is less than any number."""
     best = None
     for each in results:
-        if best is None or each.score > best.score or (
-            np.isnan(best.score) and not np.isnan(each.score)
+        if (
+            best is None
+            or each.score > best.score
+            or (np.isnan(best.score) and not np.isnan(each.score))
         ):
             best = each
     return best
@@ -106,15 +108,21 @@ def test_what_is_no_message_is_refused(read, cut) -> None:
 
 
 @ORDERS
-@given(message=MESSAGES, values=st.lists(st.floats(-10, 10), min_size=60, max_size=60),
-       data=st.data())
+@given(
+    message=MESSAGES, values=st.lists(st.floats(-10, 10), min_size=60, max_size=60), data=st.data()
+)
 def test_ranked_detections_have_values_for_scores_and_other_boxes(
     order, message, values, data
 ) -> None:
     count = len(message.detections)
-    rows = np.array(data.draw(st.permutations(range(count)).flatmap(
-        lambda found: st.integers(0, count).map(lambda most: found[:most])
-    )), np.int64)
+    rows = np.array(
+        data.draw(
+            st.permutations(range(count)).flatmap(
+                lambda found: st.integers(0, count).map(lambda most: found[:most])
+            )
+        ),
+        np.int64,
+    )
     boxes = np.arange(5.0 * len(rows)).reshape(5, -1) + 0.5
     detections = Detections(encode(message, order))
     written = detections.ranked(rows, boxes, np.array(values[: len(rows)]))
@@ -127,15 +135,18 @@ def test_ranked_detections_have_values_for_scores_and_other_boxes(
         )
         x, y, length, width, theta = boxes[:, i].tolist()
         expected.append(replace(detection, results=results, bbox=(x, y, theta, length, width)))
-    again, same = Detections(written), Detections(encode(replace(
-        message, detections=tuple(expected))))
+    again, same = (
+        Detections(written),
+        Detections(encode(replace(message, detections=tuple(expected)))),
+    )
     np.testing.assert_array_equal(again.xywhr(), same.xywhr())
     assert again.ids() == same.ids()
     stamp, sources = read_sources(written)
     assert stamp == message.stamp
     assert sources == [
         Source(
-            message.detections[row].id, values[i] if message.detections[row].results else 0.0,
+            message.detections[row].id,
+            values[i] if message.detections[row].results else 0.0,
             tuple(boxes[:, i]),
         )
         for i, row in enumerate(rows)
@@ -148,8 +159,12 @@ def test_ranked_detections_have_values_for_scores_and_other_boxes(
 @pytest.mark.parametrize(
     ('regions', 'sources', 'belong'),
     [
-        (['a', 'b|c'], ['a', 'b'], True), ([], [], True), (['', ''], ['', ''], True),
-        (['a', 'b|c'], ['a', 'c'], False), (['ab'], ['a'], False), (['a', 'b'], ['a'], False),
+        (['a', 'b|c'], ['a', 'b'], True),
+        ([], [], True),
+        (['', ''], ['', ''], True),
+        (['a', 'b|c'], ['a', 'c'], False),
+        (['ab'], ['a'], False),
+        (['a', 'b'], ['a'], False),
         (['a', 'b'], ['b', 'a'], False),
     ],
 )
@@ -180,7 +195,9 @@ def scene(merge=0):
     )
     settings = OBB_TO_HBB.settings({'crop.merge_max_size': merge})
     return Batch(
-        encode(Message(detections=detections)), INPUT_TYPES['Detection2DArray'], settings,
+        encode(Message(detections=detections)),
+        INPUT_TYPES['Detection2DArray'],
+        settings,
         (640, 480),
     )
 
@@ -198,8 +215,9 @@ def test_each_region_has_its_source_at_its_place(merge) -> None:
         assert x0 <= x <= x1
         assert y0 <= y <= y1
         assert length >= width
-    values = {tuple(ids): source.value for ids, source in zip(
-        plan.detection_ids(), sources, strict=True)}
+    values = {
+        tuple(ids): source.value for ids, source in zip(plan.detection_ids(), sources, strict=True)
+    }
     assert values == pytest.approx(
         {('b',): 0.9, ('c', 'a'): 0.85} if merge else {('a',): 0.4, ('b',): 0.9, ('c',): 0.45}
     )
