@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Build script, for colcon (ament_python) and for pip."""
+"""
+Build script, for colcon (ament_python) and for pip.
+
+`colcon build` for ament_python calls `setup.py` and reads `setup.cfg`, so a `pyproject.toml` would
+state the same facts a second time. Version, license and maintainer are in `package.xml` alone.
+"""
 
 from glob import glob
 from pathlib import Path
@@ -10,6 +15,7 @@ from setuptools import setup
 
 PACKAGE = 'obbhbb_ros'
 MANIFEST = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
+MAINTAINER = MANIFEST.find('maintainer')
 
 NODES = ('obb_to_hbb', 'chip_extractor', 'downlink', 'overlay', 'play_detections')
 
@@ -22,7 +28,7 @@ ROS = [
 PLOTS = ['matplotlib>=3.6', 'jinja2>=3.0']
 # The font of the overlay is in all sizes from 10.1 on.
 IMAGES = ['pillow>=10.1']
-# What the benchmarks measure against.
+# The peers of the benchmarks.
 PEERS = ['supervision>=0.27']
 GEO = ['geopandas>=0.14', 'pyogrio>=0.7']
 PROGRESS = ['tqdm>=4.60']
@@ -38,6 +44,22 @@ setup(
     long_description=Path(__file__).with_name('README.md').read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',
     license=MANIFEST.findtext('license'),
+    author=MANIFEST.findtext('author'),
+    author_email=MANIFEST.find('author').get('email'),
+    maintainer=MAINTAINER.text,
+    maintainer_email=MAINTAINER.get('email'),
+    url=MANIFEST.findtext('url'),
+    classifiers=[
+        'Development Status :: 4 - Beta',
+        'Intended Audience :: Developers',
+        'Intended Audience :: Science/Research',
+        'License :: OSI Approved :: Apache Software License',
+        'Operating System :: POSIX :: Linux',
+        'Programming Language :: Python :: 3',
+        *(f'Programming Language :: Python :: 3.{minor}' for minor in range(10, 15)),
+        'Topic :: Scientific/Engineering :: Image Processing',
+        'Typing :: Typed',
+    ],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: ['py.typed', 'data/*'], f'{PACKAGE}.study': ['templates/*']},
     data_files=[
@@ -56,6 +78,7 @@ setup(
         'chips': IMAGES,
         'bench': PEERS,
         'geo': GEO,
+        # What the GeoPandas of Ubuntu 24.04 reads shapefiles with, in place of pyogrio.
         'fiona': ['fiona>=1.9'],
         'progress': PROGRESS,
         'bags': BAGS,
@@ -77,5 +100,5 @@ setup(
             *(f'{name} = {PACKAGE}.nodes.__main__:{name}' for name in NODES),
         ],
     },
-    zip_safe=True,
+    zip_safe=False,
 )

@@ -91,5 +91,5 @@ def test_every_source_names_its_license() -> None:
 def test_a_flight_machine_installs_what_the_nodes_need_and_no_more() -> None:
     manifest = ElementTree.parse(ROOT / 'package.xml')
     python = {each.text for each in manifest.findall('exec_depend') if each.text[:6] == 'python'}
-    assert python == {'python3-numpy', 'python3-pil', 'python3-shapely'}
+    assert python == {'python3-numpy', 'python3-pil', 'python3-shapely', 'python3-yaml'}
     assert manifest.findtext('url').startswith('https://')
