@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-An executor for a node with busy subscriptions.
+An executor that serves the busy subscriptions of a node without rclpy's overhead.
 
-rclpy's executors gather all entities of a node, a dozen services among them, and build a wait set
-anew for every message: about half a millisecond, more than the rest of the work together. This one
-keeps its wait set, and hands messages over as soon as they are there. Whatever else becomes ready
-it leaves to the executor it is made from.
+For every message, rclpy's executors gather all entities of a node, a dozen services among them, and
+build a new wait set: about half a millisecond, more than the conversion of the message takes. This
+one keeps its wait set, and calls the callbacks of raw subscriptions itself. It leaves everything
+else to its base class. Why it is not rclpy's `EventsExecutor`: `doc/executor.md`.
 """
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from itertools import chain
 from typing import Any
 
 from rclpy.context import Context
@@ -18,22 +20,31 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.executors import ShutdownException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.executors import TimeoutException
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.waitable import NumberOfEntities
 
-from obbhbb_ros.nodes import internals
+from obbhbb_ros.errors import ObbhbbError
+
+_KINDS = ('subscription', 'guard_condition', 'timer', 'client', 'service')
+# Names that rclpy keeps to itself.
+_EXECUTOR_NAMES = ('_guard', '_sigint_gc', '_tasks')
+_WAIT_SET_NAMES = ('clear_entities', 'wait', 'get_ready_entities', *(f'add_{k}' for k in _KINDS))
 
 
-class UnknownRclpyError(RuntimeError):
-    """The installed rclpy lacks something that the executor needs; the text says what."""
+class UnknownRclpyError(ObbhbbError, RuntimeError):
+    """The installed rclpy lacks something that the executor needs; the text names it."""
 
 
 class ExpressExecutor(SingleThreadedExecutor):
     """
-    Runs nodes like its base class; messages of a node's `express_subscriptions` take a short way.
+    Runs a node like its base class, but takes the messages of raw subscriptions a shorter way.
 
-    Those subscriptions are listed in the order in which they are served when several have a
-    message: one each, so that none waits for another to run dry. Their callbacks are plain
-    functions of the message alone. The short way is open while the node is the only one, has no
-    guard conditions of its own (a wait uses their triggers up), and no coroutine is in progress.
+    If several raw subscriptions have messages, the executor takes one from each, in the order in
+    which the node created them, so that none waits for another to run dry. Their callbacks must be
+    plain functions of the serialized message alone. The shorter way is open while the executor has
+    a single node without guard conditions (a wait would use up their triggers), and no coroutine is
+    in progress.
 
     Parameters
     ----------
@@ -43,16 +54,16 @@ class ExpressExecutor(SingleThreadedExecutor):
     Raises
     ------
     UnknownRclpyError
-        If this rclpy does not have what the short way is built on.
+        If the installed rclpy lacks the private names that the shorter way needs.
     """
 
     def __init__(self, *, context: Context | None = None) -> None:
         super().__init__(context=context)
-        self._express: list[tuple[int, Any]] = []
-        self._wait_set: internals.KeptWaitSet | None = None
-        # Whether the base class may have something to do.
-        self._others_ready = True
-        missing = internals.missing(self)
+        self._wait_set: _KeptWaitSet | None = None
+        self._base_may_have_work = True
+        wait_set = getattr(rclpy_implementation, 'WaitSet', None)
+        missing = [name for name in _EXECUTOR_NAMES if not hasattr(self, name)]
+        missing += [f'WaitSet.{name}' for name in _WAIT_SET_NAMES if not hasattr(wait_set, name)]
         if missing:
             self.shutdown()
             raise UnknownRclpyError(f'this rclpy has no {", ".join(missing)}')
@@ -64,13 +75,13 @@ class ExpressExecutor(SingleThreadedExecutor):
         Parameters
         ----------
         timeout_sec : float, optional
-            For how long to wait at most; for ever by default.
+            Maximum time to wait, seconds; without limit by default.
         """
-        if self._others_ready:
+        if self._base_may_have_work:
             self._spin_base(0.0)
             return
         if self._wait_set is None:
-            self._wait_set = self._gather()
+            self._wait_set = self._make_wait_set()
         if self._wait_set is None:
             self._spin_base(timeout_sec)
         else:
@@ -78,54 +89,122 @@ class ExpressExecutor(SingleThreadedExecutor):
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """See the base class."""
-        self._forget_wait_set()
+        self._close_wait_set()
         ended: bool = super().shutdown(timeout_sec)
         return ended
 
     def _spin_base(self, timeout_sec: float | None) -> None:
-        """Let the base class handle one thing."""
+        """Let the base class wait, and handle one thing."""
         try:
             handler, _, _ = self.wait_for_ready_callbacks(timeout_sec)
         except (TimeoutException, ShutdownException):
-            self._others_ready = False
+            self._base_may_have_work = False
             return
         handler()
         handler.result()
 
-    def _spin_express(self, wait_set: internals.KeptWaitSet, timeout_sec: float | None) -> None:
-        """Wait, then handle one message of each subscription that has one."""
+    def _spin_express(self, wait_set: _KeptWaitSet, timeout_sec: float | None) -> None:
+        """Wait, then handle one message of each raw subscription that has one."""
         ready = wait_set.wait(timeout_sec)
         if not self.context.ok():
             raise ExternalShutdownException
         try:
-            for pointer, subscription in self._express:
+            for pointer, subscription in wait_set.express:
                 if pointer in ready:
                     ready.remove(pointer)
-                    message = internals.take(subscription)
-                    if message is not None:
-                        subscription.callback(message)
+                    with subscription.handle:
+                        taken = subscription.handle.take_message(subscription.msg_type, True)
+                    if taken is not None:
+                        subscription.callback(taken[0])
         finally:
-            # Asked for only now that the messages are through. A guard condition may tell of new
-            # entities, so the next wait is for what there is then.
-            if ready or wait_set.others_ready() or internals.has_tasks(self):
-                self._others_ready = True
-                self._forget_wait_set()
+            # Checked after the messages, which are urgent. A guard condition may announce new
+            # entities, so the next wait set is for the entities that exist then.
+            if ready or wait_set.others_are_ready() or self._has_tasks():
+                self._base_may_have_work = True
+                self._close_wait_set()
 
-    def _gather(self) -> internals.KeptWaitSet | None:
-        """Make the wait set for what there is now; None where the short way is not open."""
+    def _make_wait_set(self) -> _KeptWaitSet | None:
+        """Make a wait set for the present entities; None if the shorter way is not open."""
         nodes = self.get_nodes()
-        if len(nodes) != 1 or any(nodes[0].guards) or internals.has_tasks(self):
+        if len(nodes) != 1 or any(nodes[0].guards) or self._has_tasks():
             return None
-        express = getattr(nodes[0], 'express_subscriptions', ())
         try:
-            self._express = [(internals.pointer(each), each) for each in express]
-            return internals.KeptWaitSet(self, nodes[0])
+            return _KeptWaitSet(self.context, nodes[0], [self._guard, self._sigint_gc])
         except InvalidHandle:
-            # Another thread is destroying something; the base class knows how to wait all the same.
+            # Another thread is destroying an entity; the base class copes with that.
             return None
 
-    def _forget_wait_set(self) -> None:
+    def _close_wait_set(self) -> None:
         """Let the entities of the wait set be destroyed."""
         if self._wait_set is not None:
             self._wait_set.close()
         self._wait_set = None
+
+    def _has_tasks(self) -> bool:
+        """Return whether coroutines are in progress."""
+        # The base class keeps finished ones in the list until its next wait.
+        return any(not task.done() for task, _, _ in self._tasks)
+
+
+class _KeptWaitSet:
+    """
+    A wait set of all entities of a node, made once and used for many waits.
+
+    Until `close`, none of the entities can be destroyed.
+
+    Attributes
+    ----------
+    express : list of (int, Subscription)
+        The raw subscriptions, with the pointers by which `wait` lists them.
+    """
+
+    def __init__(self, context: Context, node: Node, guards: list[Any]) -> None:
+        subscriptions = list(node.subscriptions)
+        entities = (subscriptions, guards, node.timers, node.clients, node.services)
+        handles = [[entity.handle for entity in group] for group in entities]
+        self._waitables = list(node.waitables)
+        self._stack = ExitStack()
+        try:
+            for in_use in (context.handle, *chain(*handles), *self._waitables):
+                self._stack.enter_context(in_use)
+            self.express = [(s.handle.pointer, s) for s in subscriptions if s.raw]
+            count = NumberOfEntities(*map(len, handles))
+            for waitable in self._waitables:
+                count += waitable.get_num_entities()
+            self._wait_set = rclpy_implementation.WaitSet(
+                count.num_subscriptions,
+                count.num_guard_conditions,
+                count.num_timers,
+                count.num_clients,
+                count.num_services,
+                count.num_events,
+                context.handle,
+            )
+        except BaseException:
+            self._stack.close()
+            raise
+        kinds = dict(zip(_KINDS, handles, strict=True))
+        self._additions = [(getattr(self._wait_set, f'add_{k}'), kinds[k]) for k in _KINDS]
+        self._other_kinds = [kind for kind in _KINDS[1:] if kinds[kind]]
+
+    def wait(self, timeout_sec: float | None) -> list[int]:
+        """Wait for any entity; return the pointers of the subscriptions that are ready."""
+        self._wait_set.clear_entities()
+        for add, handles in self._additions:
+            for handle in handles:
+                add(handle)
+        for waitable in self._waitables:
+            waitable.add_to_wait_set(self._wait_set)
+        self._wait_set.wait(-1 if timeout_sec is None else int(max(timeout_sec, 0.0) * 1e9))
+        ready: list[int] = self._wait_set.get_ready_entities('subscription')
+        return ready
+
+    def others_are_ready(self) -> bool:
+        """Return whether anything but a subscription was ready after the wait."""
+        return any(map(self._wait_set.get_ready_entities, self._other_kinds)) or any(
+            waitable.is_ready(self._wait_set) for waitable in self._waitables
+        )
+
+    def close(self) -> None:
+        """Let the entities be destroyed."""
+        self._stack.close()

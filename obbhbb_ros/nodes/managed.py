@@ -210,11 +210,6 @@ class ManagedNode(LifecycleNode, ABC, Generic[SettingsT]):
         self._release()
         return super().on_error(state)
 
-    @property
-    def express_subscriptions(self) -> Sequence[Any]:
-        """The subscriptions that the executor serves the short way, in this order."""
-        return self._inputs
-
     def _every(self, period: float, callback: Callable[[], object]) -> Any:
         """Create a timer that goes on while a simulated clock stands still."""
         return self.create_timer(period, callback, clock=_STEADY)

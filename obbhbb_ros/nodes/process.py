@@ -122,11 +122,11 @@ def never_wait_to_log() -> None:
 
 
 def executor_for(node: Node) -> Executor:
-    """Make an executor with a node: the express one, or the stock one where rclpy is too new."""
+    """Make an executor for a node: `ExpressExecutor`, or rclpy's own if that cannot be made."""
     try:
         executor: Executor = ExpressExecutor(context=node.context)
     except UnknownRclpyError as error:
-        node.get_logger().warning(f'{error}: messages take the slower way of its own executor')
+        node.get_logger().warning(f'{error}: using its own executor, which is slower')
         executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     return executor
