@@ -17,7 +17,7 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from obbhbb_ros.parameter_file import read_values
+from obbhbb_ros.settings.parameter_file import read_values
 
 PACKAGE = 'obbhbb_ros'
 

@@ -30,7 +30,7 @@ from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import half_extents
 from obbhbb_ros.geometry.converter import to_xyxy
 from obbhbb_ros.geometry.input_frame import InputFrame
-from obbhbb_ros.settings import Settings
+from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import InputType
 
@@ -85,7 +85,7 @@ class Outcome:
 def answer(
     data: bytes,
     input_type: InputType,
-    settings: Settings,
+    settings: ConversionSettings,
     camera_size: tuple[int, int],
     outputs: Outputs,
 ) -> Outcome:
@@ -98,7 +98,7 @@ def answer(
         The serialized message.
     input_type : InputType
         Its type.
-    settings : Settings
+    settings : ConversionSettings
         The settings.
     camera_size : tuple of int
         Width and height of the image by the last camera info, pixels; 0 where there was none.
@@ -169,7 +169,7 @@ class Batch:
         The serialized message.
     input_type : InputType
         Its type.
-    settings : Settings
+    settings : ConversionSettings
         The settings.
     image_size : tuple of int, optional
         Width and height of the image, pixels; needed for an `input_frame` other than the image,
@@ -192,7 +192,7 @@ class Batch:
         self,
         data: bytes,
         input_type: InputType,
-        settings: Settings,
+        settings: ConversionSettings,
         image_size: tuple[int, int] | None = None,
     ) -> None:
         self._settings = settings

@@ -25,7 +25,7 @@ from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import half_extents
 from obbhbb_ros.geometry.converter import to_xyxy
-from obbhbb_ros.settings import Settings
+from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.wire.layouts import InputType
 
 
@@ -36,7 +36,7 @@ class Reference:
         self,
         data: bytes,
         input_type: InputType,
-        settings: Settings,
+        settings: ConversionSettings,
         image_size: tuple[int, int] | None = None,
     ) -> None:
         kind = getattr(import_module(f'{input_type.package}.msg'), input_type.name)

@@ -46,13 +46,13 @@ from obbhbb_ros.bags.topics import add_output
 from obbhbb_ros.bags.topics import add_topics
 from obbhbb_ros.bags.topics import choose
 from obbhbb_ros.files import making
-from obbhbb_ros.parameter_file import Values
-from obbhbb_ros.parameter_file import read_values
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.pipeline import Outputs
 from obbhbb_ros.pipeline import answer
-from obbhbb_ros.settings import OBB_TO_HBB
-from obbhbb_ros.settings import Settings
+from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
+from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
+from obbhbb_ros.settings.parameter_file import Values
+from obbhbb_ros.settings.parameter_file import read_values
 from obbhbb_ros.wire.cdr import WireError
 from obbhbb_ros.wire.image import read_image_size
 from obbhbb_ros.wire.layouts import INPUT_TYPES
@@ -242,7 +242,7 @@ def _opened(source: Path) -> Iterator[Reader]:
         reader.close()
 
 
-def _settings(topics: Topics, options: Options, report: Report) -> Settings:
+def _settings(topics: Topics, options: Options, report: Report) -> ConversionSettings:
     """Read the parameters that the node would have."""
     values: Values = {}
     if options.params_file:
@@ -306,7 +306,7 @@ class _Answer(NamedTuple):
 
 
 def _answers(
-    input_type: str, settings: Settings, inputs: Iterable[tuple[bytes, tuple[int, int]]]
+    input_type: str, settings: ConversionSettings, inputs: Iterable[tuple[bytes, tuple[int, int]]]
 ) -> list[_Answer]:
     """Convert messages, given with the camera size of their time."""
     found = []
@@ -326,7 +326,9 @@ def _answers(
 class _Replay:
     """The passage of the messages of one bag."""
 
-    def __init__(self, reader: Reader, topics: Topics, settings: Settings, report: Report) -> None:
+    def __init__(
+        self, reader: Reader, topics: Topics, settings: ConversionSettings, report: Report
+    ) -> None:
         self.tally = Tally(topics)
         self._reader = reader
         self._report = report

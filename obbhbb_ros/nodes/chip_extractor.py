@@ -38,10 +38,10 @@ from obbhbb_ros.nodes.chip_topics import ChipTopics
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.spool_report import facts_of
 from obbhbb_ros.nodes.spool_report import kind_of
-from obbhbb_ros.settings import CHIP_EXTRACTOR
-from obbhbb_ros.settings import IMAGES_KEPT
-from obbhbb_ros.settings import PLANS_KEPT
-from obbhbb_ros.settings import ChipSettings
+from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
+from obbhbb_ros.settings.chip_extractor import ChipSettings
+from obbhbb_ros.settings.common import IMAGES_KEPT
+from obbhbb_ros.settings.common import PLANS_KEPT
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.spool import Frame
 from obbhbb_ros.spool.spool import NewChip

@@ -15,8 +15,8 @@ from std_msgs.msg import Bool
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.spool_report import facts_of
 from obbhbb_ros.nodes.spool_report import kind_of
-from obbhbb_ros.settings import DOWNLINK
-from obbhbb_ros.settings import DownlinkSettings
+from obbhbb_ros.settings.downlink import DOWNLINK
+from obbhbb_ros.settings.downlink import DownlinkSettings
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.release import IDLE

@@ -28,17 +28,17 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.last_run import RunRecord
+from obbhbb_ros.nodes.live_parameters import LiveParameters
 from obbhbb_ros.nodes.monitor import PERIOD
 from obbhbb_ros.nodes.monitor import Monitor
-from obbhbb_ros.nodes.parameters import LiveParameters
 from obbhbb_ros.nodes.process import StartError
 from obbhbb_ros.nodes.watchdog import Watchdog
-from obbhbb_ros.settings import AUTOSTART
-from obbhbb_ros.settings import INPUT_TIMEOUT
-from obbhbb_ros.settings import STATE_PATH
-from obbhbb_ros.settings import WATCHDOG
-from obbhbb_ros.settings import ParameterTable
-from obbhbb_ros.settings import SettingsT
+from obbhbb_ros.settings.common import AUTOSTART
+from obbhbb_ros.settings.common import INPUT_TIMEOUT
+from obbhbb_ros.settings.common import STATE_PATH
+from obbhbb_ros.settings.common import WATCHDOG
+from obbhbb_ros.settings.parameters import ParameterTable
+from obbhbb_ros.settings.parameters import SettingsT
 from obbhbb_ros.wire.layouts import InputType
 
 _DEPTH = 10

@@ -15,8 +15,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_msgs.msg import KeyValue
 from rclpy.node import Node
 
-from obbhbb_ros.settings import HARDWARE_ID
-from obbhbb_ros.settings import INPUT_TIMEOUT
+from obbhbb_ros.settings.common import HARDWARE_ID
+from obbhbb_ros.settings.common import INPUT_TIMEOUT
 
 PERIOD = 1.0
 # Times the input timeout.

@@ -26,10 +26,10 @@ from obbhbb_ros.overlay.collector import FrameCollector
 from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.overlay.drawing import OverlayError
 from obbhbb_ros.overlay.frame import OverlayFrame
-from obbhbb_ros.settings import IMAGES_KEPT
-from obbhbb_ros.settings import OVERLAY
-from obbhbb_ros.settings import PLANS_KEPT
-from obbhbb_ros.settings import OverlaySettings
+from obbhbb_ros.settings.common import IMAGES_KEPT
+from obbhbb_ros.settings.common import PLANS_KEPT
+from obbhbb_ros.settings.overlay import OVERLAY
+from obbhbb_ros.settings.overlay import OverlaySettings
 from obbhbb_ros.wire.cdr import WireError
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import read_image

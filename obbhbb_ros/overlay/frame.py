@@ -25,7 +25,7 @@ from obbhbb_ros.overlay.drawing import draw
 from obbhbb_ros.overlay.drawing import label_text
 from obbhbb_ros.overlay.drawing import lines
 from obbhbb_ros.pipeline import oriented_boxes
-from obbhbb_ros.settings import OverlaySettings
+from obbhbb_ros.settings.overlay import OverlaySettings
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image_marker import line_list

@@ -41,7 +41,7 @@ from obbhbb_ros.downlink.chips import pixel_format
 from obbhbb_ros.downlink.chips import placed
 from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.pipeline import Batch
-from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.wire.cdr import WireError
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import read_image

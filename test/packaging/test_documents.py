@@ -6,17 +6,17 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from documentation import NODE_TABLES
+from documentation import PAPER
+from documentation import documents
 
 import obbhbb_ros
 from obbhbb_ros.labels import read_labels
-from obbhbb_ros.nodes.documentation import NODE_TABLES
-from obbhbb_ros.nodes.documentation import PAPER
-from obbhbb_ros.nodes.documentation import documents
-from obbhbb_ros.parameter_file import read_values
-from obbhbb_ros.settings import CHIP_EXTRACTOR
-from obbhbb_ros.settings import DOWNLINK
-from obbhbb_ros.settings import OBB_TO_HBB
-from obbhbb_ros.settings import OVERLAY
+from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
+from obbhbb_ros.settings.downlink import DOWNLINK
+from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
+from obbhbb_ros.settings.overlay import OVERLAY
+from obbhbb_ros.settings.parameter_file import read_values
 from obbhbb_ros.study.harbour import harbour
 
 ROOT = Path(__file__).parents[2]

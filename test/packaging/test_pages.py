@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
+from documentation import NODE_TABLES
 from launch_files import launched
 from outboxes import make_outbox
 from outboxes import make_spool
@@ -25,7 +26,6 @@ from obbhbb_ros.downlink.chips import Dropped
 from obbhbb_ros.downlink.crops import LeftOut
 from obbhbb_ros.downlink.pairing import Unpaired
 from obbhbb_ros.geometry.boxes import Defect
-from obbhbb_ros.nodes.documentation import NODE_TABLES
 from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 

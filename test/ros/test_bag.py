@@ -30,9 +30,9 @@ from vision_msgs.msg import Detection2DArray
 from obbhbb_ros.bags.replay import Options
 from obbhbb_ros.bags.replay import add_boxes
 from obbhbb_ros.labels import read_labels
-from obbhbb_ros.nodes.documentation import yaml_value
 from obbhbb_ros.nodes.managed import message_type
 from obbhbb_ros.nodes.play_detections import detections_message
+from obbhbb_ros.settings.parameter_file import yaml_value
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 # Long; what depends on the versions of NumPy and Pillow is tested without DDS as well.

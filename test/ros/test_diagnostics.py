@@ -24,7 +24,7 @@ from ships import detections
 from ships import fleet
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 
 # What it tests depends on rclpy, which is the same in all environments.
 pytestmark = pytest.mark.once

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from documentation import NODE_TABLES
 from harness import SERVICES
 from harness import Converter
 from harness import Node
@@ -33,11 +34,10 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
-from obbhbb_ros.nodes.documentation import NODE_TABLES
-from obbhbb_ros.parameter_file import read_values
-from obbhbb_ros.settings import MOST_CLASSES
-from obbhbb_ros.settings import OBB_TO_HBB
-from obbhbb_ros.settings import OVERLAY
+from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
+from obbhbb_ros.settings.overlay import OVERLAY
+from obbhbb_ros.settings.parameter_file import read_values
+from obbhbb_ros.settings.parameters import MAX_CLASSES
 
 # What it tests depends on rclpy, which is the same in all environments.
 pytestmark = pytest.mark.once
@@ -515,7 +515,7 @@ def test_class_rules_are_described_and_checked_like_the_others(node: Converter) 
         assert f'classes.tug.{name}' in result.reason
 
 
-@pytest.mark.parametrize('count', [200, MOST_CLASSES])
+@pytest.mark.parametrize('count', [200, MAX_CLASSES])
 def test_many_classes_come_and_go_without_a_trace(start: Callable[..., Converter], count) -> None:
     node = start()
     node.connect()
@@ -540,7 +540,7 @@ def test_many_classes_come_and_go_without_a_trace(start: Callable[..., Converter
 
 
 def test_too_many_classes_are_refused(node: Converter) -> None:
-    result = node.set_atomically({'class_ids': [str(i) for i in range(MOST_CLASSES + 1)]})
+    result = node.set_atomically({'class_ids': [str(i) for i in range(MAX_CLASSES + 1)]})
     assert not result.successful
     assert result.reason == 'class_ids has 257 classes, the maximum is 256'
 

@@ -9,11 +9,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from documentation import NODE_TABLES
 from harness import Peer
 from harness import Site
 from sensor_msgs.msg import CompressedImage
-
-from obbhbb_ros.nodes.documentation import NODE_TABLES
 
 # What it tests depends on rclpy, which is the same in all environments.
 pytestmark = pytest.mark.once

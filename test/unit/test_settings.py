@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from obbhbb_ros.geometry.converter import HullRule
-from obbhbb_ros.parameter_file import read_values
-from obbhbb_ros.settings import CHIP_EXTRACTOR
-from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
+from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
+from obbhbb_ros.settings.parameter_file import read_values
 
 CONFIG = Path(__file__).parents[2] / 'config'
 NESTED = """
@@ -188,7 +188,8 @@ def test_settings_of_the_chip_node_are_checked_together() -> None:
 
 def test_no_ros_is_imported() -> None:
     code = (
-        'import sys, obbhbb_ros.pipeline, obbhbb_ros.settings, obbhbb_ros.wire.image\n'
+        'import sys, obbhbb_ros.pipeline, obbhbb_ros.wire.image\n'
+        'from obbhbb_ros.settings import chip_extractor, downlink, obb_to_hbb, overlay\n'
         'print([name for name in sys.modules if name.startswith(("rclpy", "rcl_", "rosidl"))])'
     )
     printed = subprocess.run([sys.executable, '-c', code], check=True, capture_output=True)

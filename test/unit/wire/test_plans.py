@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from obbhbb_ros.pipeline import Batch
-from obbhbb_ros.settings import OBB_TO_HBB
+from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.wire.cdr import WireError
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import INPUT_TYPES

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import re
 from collections.abc import Iterator
 from collections.abc import Mapping
@@ -53,6 +55,13 @@ def read_values(path: Path, node: str) -> Values:
     if not values:
         raise ValueError(f'{path}: no parameters for {node}')
     return values
+
+
+def yaml_value(value: Any) -> str:
+    """Write one value so that ROS reads it back with its type."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return '.nan' if math.isnan(value) else f'{"-" if value < 0 else ""}.inf'
+    return json.dumps(value)
 
 
 def _document(path: Path) -> Any:

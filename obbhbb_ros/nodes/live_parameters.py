@@ -17,11 +17,11 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from obbhbb_ros.parameter_file import Values
-from obbhbb_ros.settings import LOCK
-from obbhbb_ros.settings import Parameter
-from obbhbb_ros.settings import ParameterTable
-from obbhbb_ros.settings import SettingsT
+from obbhbb_ros.settings.common import LOCK
+from obbhbb_ros.settings.parameter_file import Values
+from obbhbb_ros.settings.parameters import Parameter
+from obbhbb_ros.settings.parameters import ParameterTable
+from obbhbb_ros.settings.parameters import SettingsT
 
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:

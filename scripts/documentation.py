@@ -2,14 +2,12 @@
 """
 The parameter tables as YAML files and as Markdown.
 
-`python -m obbhbb_ros.nodes.documentation` rewrites `config/` and the tables in `doc/` of the
+`python scripts/documentation.py` rewrites `config/` and the tables in `doc/` of the
 checkout that it is run in; a test holds them equal.
 """
 
 from __future__ import annotations
 
-import json
-import math
 import textwrap
 from collections.abc import Mapping
 from collections.abc import Sequence
@@ -21,13 +19,14 @@ from obbhbb_ros.files import write_text
 from obbhbb_ros.geometry.converter import PAPER_RULE
 from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.labels import FORMATS
-from obbhbb_ros.nodes.play_detections import PLAY_DETECTIONS
-from obbhbb_ros.settings import CHIP_EXTRACTOR
-from obbhbb_ros.settings import DOWNLINK
-from obbhbb_ros.settings import OBB_TO_HBB
-from obbhbb_ros.settings import OVERLAY
-from obbhbb_ros.settings import Parameter
-from obbhbb_ros.settings import ParameterTable
+from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
+from obbhbb_ros.settings.downlink import DOWNLINK
+from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
+from obbhbb_ros.settings.overlay import OVERLAY
+from obbhbb_ros.settings.parameter_file import yaml_value
+from obbhbb_ros.settings.parameters import Parameter
+from obbhbb_ros.settings.parameters import ParameterTable
+from obbhbb_ros.settings.play_detections import PLAY_DETECTIONS
 
 # What the rule leaves open keeps its default.
 PAPER = {name: value for name, value in asdict(PAPER_RULE).items() if value is not None}
@@ -71,13 +70,6 @@ def yaml_file(title: str, values: Mapping[str, Any], table: Sequence[Parameter])
         lines += _comment(_note(spec), indent)
         lines.append(f'{indent}{name}: {yaml_value(values.get(spec.name, spec.default))}')
     return '\n'.join(lines) + '\n'
-
-
-def yaml_value(value: Any) -> str:
-    """Write one value so that ROS reads it back with its type."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return '.nan' if math.isnan(value) else f'{"-" if value < 0 else ""}.inf'
-    return json.dumps(value)
 
 
 def markdown_table(table: Sequence[Parameter]) -> str:

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters and settings of the node `downlink`."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from obbhbb_ros.downlink.budget import BudgetSettings
+from obbhbb_ros.settings.common import COMMON
+from obbhbb_ros.settings.common import LINK
+from obbhbb_ros.settings.common import folder_of
+from obbhbb_ros.settings.parameters import MAX_BYTES
+from obbhbb_ros.settings.parameters import Parameter
+from obbhbb_ros.settings.parameters import ParameterTable
+from obbhbb_ros.spool.release import ReleaseSettings
+
+
+@dataclass(frozen=True)
+class DownlinkSettings:
+    """Where chips are released from and to, and how."""
+
+    spool_path: str
+    outbox_path: str
+    always_in_contact: bool
+    release: ReleaseSettings
+
+
+def _downlink_settings(values: Mapping[str, Any]) -> DownlinkSettings:
+    """Make settings for `downlink`."""
+    spool, outbox = (folder_of(values, name) for name in ('spool.path', 'outbox.path'))
+    for name, path in (('spool.path', spool), ('outbox.path', outbox)):
+        if not path:
+            raise ValueError(f'{name} is missing: name a folder')
+    if os.path.commonpath((spool, outbox)) in (spool, outbox):
+        raise ValueError(f'outbox.path and spool.path must be apart, not {outbox} and {spool}')
+    levels = values['outbox.levels']
+    if any(math.isnan(level) for level in levels):
+        raise ValueError('outbox.levels must be numbers, not nan')
+    return DownlinkSettings(
+        spool_path=spool,
+        outbox_path=outbox,
+        always_in_contact=values['contact'] == 'always',
+        release=ReleaseSettings(
+            budget=BudgetSettings(
+                values['budget.bytes_per_second'],
+                values['budget.burst'],
+                values['budget.overhead'],
+            ),
+            levels=tuple(levels),
+            removal=values['acknowledge'] == 'removal',
+            max_bytes=values['outbox.max_bytes'],
+        ),
+    )
+
+
+DOWNLINK = ParameterTable(
+    (
+        *COMMON,
+        Parameter(
+            'contact',
+            'always',
+            'When chips are released: always, or while the topic `contact` says so.',
+            choices=('always', 'topic'),
+        ),
+        Parameter(
+            'acknowledge',
+            'release',
+            'When a chip counts as delivered: on its release into the outbox, or on its removal '
+            'from there.',
+            choices=('release', 'removal'),
+        ),
+        *LINK,
+        Parameter(
+            'spool.path', '', 'Folder in which chip_extractor stores the chips.', read_only=True
+        ),
+        Parameter('outbox.path', '', 'Folder from which the bus takes the chips.', read_only=True),
+        Parameter(
+            'outbox.levels',
+            [0.0],
+            'Value thresholds of the priority folders: a chip goes into the folder with the number '
+            'of thresholds above its value, 0 for the most valuable.',
+        ),
+        Parameter(
+            'outbox.max_bytes',
+            1e9,
+            'Maximum bytes in the outbox; when it is full, chips wait in the spool (0: unlimited).',
+            0.0,
+            MAX_BYTES,
+        ),
+    ),
+    _downlink_settings,
+)
+"""Parameters of the node `downlink`."""
