@@ -12,11 +12,11 @@ from obbhbb_ros.labels.formats import detect_format
 from obbhbb_ros.labels.formats import read_labels
 from obbhbb_ros.labels.formats import write_boxes
 from obbhbb_ros.labels.formats import write_labels
-from obbhbb_ros.labels.records import Format
-from obbhbb_ros.labels.records import ImageBoxes
-from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import LabelError
-from obbhbb_ros.labels.records import OnError
+from obbhbb_ros.labels.image_labels import ImageBoxes
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.label_file import LabelError
+from obbhbb_ros.labels.label_file import OnError
+from obbhbb_ros.labels.label_format import Format
 
 __all__ = [
     'FORMATS',

@@ -21,19 +21,19 @@ from obbhbb_ros.geometry.converter import Conversion
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.geometry.converter import convert_with_diagnostics
-from obbhbb_ros.labels.files import bare_name
-from obbhbb_ros.labels.files import label_files
+from obbhbb_ros.labels.folders import bare_name
+from obbhbb_ros.labels.folders import label_files
 from obbhbb_ros.labels.formats import FORMATS
 from obbhbb_ros.labels.formats import box_format
 from obbhbb_ros.labels.formats import detect_format
 from obbhbb_ros.labels.formats import format_named
 from obbhbb_ros.labels.formats import read_labels
 from obbhbb_ros.labels.formats import write_boxes
-from obbhbb_ros.labels.images import stored_size
-from obbhbb_ros.labels.records import BowSource
-from obbhbb_ros.labels.records import ImageBoxes
-from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import LabelError
+from obbhbb_ros.labels.image_files import stored_size
+from obbhbb_ros.labels.image_labels import BowSource
+from obbhbb_ros.labels.image_labels import ImageBoxes
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.label_file import LabelError
 
 Progress = Callable[[Iterable[ImageLabels], 'int | None'], Iterable[ImageLabels]]
 

@@ -32,17 +32,17 @@ from typing import Any
 
 import numpy as np
 
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import documents
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels import text
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import FloatArray
-from obbhbb_ros.labels.records import Format
-from obbhbb_ros.labels.records import ImageBoxes
-from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import ImageSize
-from obbhbb_ros.labels.records import Item
-from obbhbb_ros.labels.records import LabelFile
+from obbhbb_ros.labels.image_labels import ImageBoxes
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.image_labels import ImageSize
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import Item
+from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_format import Format
 
 MARKS = ('"annotations"', '"images"', '"categories"', '"licenses"')
 

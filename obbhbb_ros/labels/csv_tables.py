@@ -40,20 +40,20 @@ from pathlib import Path
 import numpy as np
 import shapely
 
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels import text
-from obbhbb_ros.labels.records import DIAGNOSTICS
-from obbhbb_ros.labels.records import MIN_HULL_POINTS
-from obbhbb_ros.labels.records import NO_REFERENCE
-from obbhbb_ros.labels.records import AnyImage
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import FloatArray
-from obbhbb_ros.labels.records import Format
-from obbhbb_ros.labels.records import ImageBoxes
-from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import Item
-from obbhbb_ros.labels.records import LabelFile
-from obbhbb_ros.labels.records import Value
+from obbhbb_ros.labels.image_labels import DIAGNOSTICS
+from obbhbb_ros.labels.image_labels import MIN_HULL_POINTS
+from obbhbb_ros.labels.image_labels import AnyImage
+from obbhbb_ros.labels.image_labels import ImageBoxes
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.image_labels import Value
+from obbhbb_ros.labels.label_file import NO_REFERENCE
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import Item
+from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_format import Format
 
 CORNERS = ('x1', 'y1', 'x2', 'y2', 'x3', 'y3', 'x4', 'y4')
 REFERENCE = ('hx1', 'hy1', 'hx2', 'hy2')

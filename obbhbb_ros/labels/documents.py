@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from collections.abc import Iterator
 from typing import Any
 
-from obbhbb_ros.labels.records import ImageSize
-from obbhbb_ros.labels.records import LabelFile
+from obbhbb_ros.labels.image_labels import ImageSize
+from obbhbb_ros.labels.label_file import LabelFile
 
 
 def image_size_of(width: object, height: object) -> ImageSize | None:

@@ -19,11 +19,11 @@ import re
 from pathlib import Path
 
 from obbhbb_ros.labels import text
-from obbhbb_ros.labels.files import write_each
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import Format
-from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import LabelFile
+from obbhbb_ros.labels.folders import write_each
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_format import Format
 
 HEADER = re.compile(r'\W*(imagesource|gsd|acquisition dates)\W*:', re.IGNORECASE)
 FIELDS = 'x1 y1 x2 y2 x3 y3 x4 y4 category [difficulty]'

@@ -21,17 +21,17 @@ from obbhbb_ros.labels import geojson
 from obbhbb_ros.labels import shapefile
 from obbhbb_ros.labels import xml_files
 from obbhbb_ros.labels import yolo
-from obbhbb_ros.labels.files import label_files
-from obbhbb_ros.labels.records import MIN_HULL_POINTS
-from obbhbb_ros.labels.records import FileError
-from obbhbb_ros.labels.records import Format
-from obbhbb_ros.labels.records import ImageBoxes
-from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import ImageSize
-from obbhbb_ros.labels.records import LabelFile
-from obbhbb_ros.labels.records import OnError
-from obbhbb_ros.labels.records import names
-from obbhbb_ros.labels.records import raise_error
+from obbhbb_ros.labels.folders import label_files
+from obbhbb_ros.labels.image_labels import MIN_HULL_POINTS
+from obbhbb_ros.labels.image_labels import ImageBoxes
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.image_labels import ImageSize
+from obbhbb_ros.labels.label_file import FileError
+from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_file import OnError
+from obbhbb_ros.labels.label_file import raise_error
+from obbhbb_ros.labels.label_format import Format
+from obbhbb_ros.labels.label_format import names
 from obbhbb_ros.labels.shapes import check_coordinates
 
 # Blank files are read in the first format that has their suffix.

@@ -25,15 +25,15 @@ from pathlib import Path
 from typing import Any
 
 from obbhbb_ros.files import write_pieces
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels.documents import json_member
 from obbhbb_ros.labels.documents import numbered
 from obbhbb_ros.labels.documents import read_json
-from obbhbb_ros.labels.records import FloatArray
-from obbhbb_ros.labels.records import Format
-from obbhbb_ros.labels.records import ImageBoxes
-from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import LabelFile
+from obbhbb_ros.labels.image_labels import ImageBoxes
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_format import Format
 
 MARKS = ('"FeatureCollection"', '"Feature"')
 POLYGONS = ('Polygon', 'MultiPolygon')

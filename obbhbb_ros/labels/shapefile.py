@@ -22,11 +22,11 @@ import shapely
 
 from obbhbb_ros.files import replacing_all
 from obbhbb_ros.labels import shapes
-from obbhbb_ros.labels.records import DIAGNOSTICS
-from obbhbb_ros.labels.records import Format
-from obbhbb_ros.labels.records import ImageBoxes
-from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import LabelFile
+from obbhbb_ros.labels.image_labels import DIAGNOSTICS
+from obbhbb_ros.labels.image_labels import ImageBoxes
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_format import Format
 
 DRIVER = 'ESRI Shapefile'
 # Indexes of the features in a file that is replaced; they would not fit the new ones.

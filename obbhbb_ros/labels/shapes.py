@@ -18,15 +18,15 @@ import shapely
 from obbhbb_ros.geometry.boxes import BLOCK
 from obbhbb_ros.geometry.boxes import FARTHEST
 from obbhbb_ros.geometry.boxes import Defect
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.boxes import range_defect
 from obbhbb_ros.labels.documents import plain_text
-from obbhbb_ros.labels.records import NO_REFERENCE
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import FloatArray
-from obbhbb_ros.labels.records import ImageBoxes
-from obbhbb_ros.labels.records import LabelError
-from obbhbb_ros.labels.records import LabelFile
+from obbhbb_ros.labels.image_labels import ImageBoxes
+from obbhbb_ros.labels.label_file import NO_REFERENCE
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import LabelError
+from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.text import parse_score
 
 Corners = tuple[float, float, float, float, float, float, float, float]

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from obbhbb_ros.files import write_pieces
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import LabelError
-from obbhbb_ros.labels.records import LabelFile
-from obbhbb_ros.labels.records import OnError
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import LabelError
+from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_file import OnError
 
 
 def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:

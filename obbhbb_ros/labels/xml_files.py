@@ -54,13 +54,13 @@ from xml.parsers import expat
 
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels.documents import image_size_of
-from obbhbb_ros.labels.files import write_each
-from obbhbb_ros.labels.records import NO_REFERENCE
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import Format
-from obbhbb_ros.labels.records import ImageBoxes
-from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import LabelFile
+from obbhbb_ros.labels.folders import write_each
+from obbhbb_ros.labels.image_labels import ImageBoxes
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.label_file import NO_REFERENCE
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_format import Format
 from obbhbb_ros.labels.text import parse_number
 
 HRSC_ROOT = 'HRSC_Image'

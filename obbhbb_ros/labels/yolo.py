@@ -32,19 +32,19 @@ import numpy as np
 
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels import text
-from obbhbb_ros.labels.files import CLASSES_FILE
-from obbhbb_ros.labels.files import target_files
-from obbhbb_ros.labels.images import stored_size
-from obbhbb_ros.labels.records import AnyImage
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import FileError
-from obbhbb_ros.labels.records import Format
-from obbhbb_ros.labels.records import ImageBoxes
-from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import ImageSize
-from obbhbb_ros.labels.records import LabelError
-from obbhbb_ros.labels.records import LabelFile
-from obbhbb_ros.labels.records import raise_error
+from obbhbb_ros.labels.folders import CLASSES_FILE
+from obbhbb_ros.labels.folders import target_files
+from obbhbb_ros.labels.image_files import stored_size
+from obbhbb_ros.labels.image_labels import AnyImage
+from obbhbb_ros.labels.image_labels import ImageBoxes
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.image_labels import ImageSize
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import FileError
+from obbhbb_ros.labels.label_file import LabelError
+from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_file import raise_error
+from obbhbb_ros.labels.label_format import Format
 
 UPRIGHT_FIELDS = 'class x_center y_center width height [confidence [track]]'
 CORNER_FIELDS = 'class x1 y1 x2 y2 x3 y3 x4 y4 [confidence [track]]'

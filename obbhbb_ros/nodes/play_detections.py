@@ -38,9 +38,9 @@ from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
-from obbhbb_ros.labels.images import find_images
-from obbhbb_ros.labels.images import load_image
-from obbhbb_ros.labels.records import BowSource
+from obbhbb_ros.labels.image_files import find_images
+from obbhbb_ros.labels.image_files import load_image
+from obbhbb_ros.labels.image_labels import BowSource
 from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.live_parameters import LiveParameters
 from obbhbb_ros.nodes.managed import message_type

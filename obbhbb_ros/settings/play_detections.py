@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from obbhbb_ros.labels import FORMATS
-from obbhbb_ros.labels.records import BOW_SOURCES
-from obbhbb_ros.labels.records import BowSource
+from obbhbb_ros.labels.image_labels import BOW_SOURCES
+from obbhbb_ros.labels.image_labels import BowSource
 from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.settings.parameters import ParameterTable
 from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT

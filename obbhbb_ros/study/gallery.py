@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.geometry.boxes import OrientedBoxes
-from obbhbb_ros.labels.images import opened_image
+from obbhbb_ros.labels.image_files import opened_image
 from obbhbb_ros.study.pages import environment
 from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track

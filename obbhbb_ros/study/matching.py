@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import ImageLabels
-from obbhbb_ros.labels.files import bare_name
+from obbhbb_ros.labels.folders import bare_name
 from obbhbb_ros.study.metrics import bounds
 from obbhbb_ros.study.metrics import iou
 

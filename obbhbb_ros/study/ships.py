@@ -20,7 +20,7 @@ from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import OnError
 from obbhbb_ros.labels import read_labels
-from obbhbb_ros.labels.records import BOW_SOURCES
+from obbhbb_ros.labels.image_labels import BOW_SOURCES
 from obbhbb_ros.study.bows import bow_sides
 from obbhbb_ros.study.bows import with_bows
 from obbhbb_ros.study.matching import match_references

@@ -20,7 +20,7 @@ from obbhbb_ros.cli import main
 from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 from obbhbb_ros.labels import read_labels
-from obbhbb_ros.labels.images import find_images
+from obbhbb_ros.labels.image_files import find_images
 
 # What it tests depends on rclpy, which is the same in all environments.
 pytestmark = pytest.mark.once

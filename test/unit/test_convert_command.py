@@ -23,8 +23,8 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.axis_aligned import convert_file
 from obbhbb_ros.labels.axis_aligned import convert_image
 from obbhbb_ros.labels.axis_aligned import convert_labels
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import assemble
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import assemble
 
 TARGETS = [
     ('yolo', 'out'), ('coco', 'out.json'), ('voc', 'out'), ('geojson', 'out.geojson'),

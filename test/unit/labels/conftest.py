@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from obbhbb_ros.labels import ImageLabels
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import assemble
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import assemble
 
 SHIP = Box((10.0, 20.0, 50.0, 20.0, 50.0, 30.0, 10.0, 30.0), 'ship')
 

@@ -16,9 +16,9 @@ from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
-from obbhbb_ros.labels.records import NO_REFERENCE
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import assemble
+from obbhbb_ros.labels.label_file import NO_REFERENCE
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import assemble
 
 if TYPE_CHECKING:
     from conftest import Make

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from obbhbb_ros.labels import LabelError
-from obbhbb_ros.labels import images
+from obbhbb_ros.labels import image_files
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import assemble
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import assemble
 
 if TYPE_CHECKING:
     from conftest import Make
@@ -175,7 +175,7 @@ def test_an_image_that_is_too_large_takes_an_image_size(
     put: Put, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _put_image(tmp_path / 'a.png', SIZE)
-    monkeypatch.setattr(images, 'MOST_PIXELS', SIZE[0] * SIZE[1] - 1)
+    monkeypatch.setattr(image_files, 'MAX_PIXELS', SIZE[0] * SIZE[1] - 1)
     path = put('a.txt', BOX)
     with pytest.raises(LabelError, match='image_size'):
         list(read_labels(path))

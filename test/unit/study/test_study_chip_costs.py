@@ -10,12 +10,12 @@ from PIL import Image
 from obbhbb_ros.cli import main
 from obbhbb_ros.downlink.chips import encode
 from obbhbb_ros.downlink.crops import CropSettings
-from obbhbb_ros.labels import images
+from obbhbb_ros.labels import image_files
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
-from obbhbb_ros.labels.images import find_images
-from obbhbb_ros.labels.images import load_image
-from obbhbb_ros.labels.images import opened_image
+from obbhbb_ros.labels.image_files import find_images
+from obbhbb_ros.labels.image_files import load_image
+from obbhbb_ros.labels.image_files import opened_image
 from obbhbb_ros.study.chip_costs import ENCODERS
 from obbhbb_ros.study.chip_costs import RULES
 from obbhbb_ros.study.chip_costs import chip_costs
@@ -128,7 +128,7 @@ def test_a_scene_that_pillow_would_refuse_is_opened(tmp_path) -> None:
 
 
 def test_an_image_beyond_the_limit_is_an_error_that_names_it(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(images, 'MOST_PIXELS', 100)
+    monkeypatch.setattr(image_files, 'MAX_PIXELS', 100)
     Image.new('L', (20, 20)).save(tmp_path / 'scene.png')
     with pytest.raises(ValueError, match=r'scene\.png: Image size \(400 pixels\) exceeds limit'):
         load_image(tmp_path / 'scene.png')

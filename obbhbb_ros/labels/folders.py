@@ -9,8 +9,8 @@ from collections.abc import Collection
 from collections.abc import Iterable
 from pathlib import Path
 
-from obbhbb_ros.labels.records import AnyImage
-from obbhbb_ros.labels.records import LabelError
+from obbhbb_ros.labels.image_labels import AnyImage
+from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.text import write_lines
 
 CLASSES_FILE = 'classes.txt'

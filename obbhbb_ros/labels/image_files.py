@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.labels.files import IMAGE_SUFFIXES
-from obbhbb_ros.labels.files import bare_name
-from obbhbb_ros.labels.records import ImageLabels
-from obbhbb_ros.labels.records import ImageSize
-from obbhbb_ros.labels.records import LabelError
+from obbhbb_ros.labels.folders import IMAGE_SUFFIXES
+from obbhbb_ros.labels.folders import bare_name
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.image_labels import ImageSize
+from obbhbb_ros.labels.label_file import LabelError
 
 # 32768 x 32768; three bytes each are 3 GB.
-MOST_PIXELS = 2**30
+MAX_PIXELS = 2**30
 EXIF_ORIENTATION = 0x0112
 EXIF_TURNED = (5, 6, 7, 8)
 _EXACT_MODES = {'L': 'mono8', 'RGB': 'rgb8', 'RGBA': 'rgba8', 'I;16': 'mono16'}
@@ -100,12 +100,12 @@ def opened_image(path: Path) -> Iterator[Any]:
     Open a PIL image, not decoded yet, that may be as large as a satellite scene.
 
     Raises ModuleNotFoundError if Pillow is not installed; OSError or ValueError if the image cannot
-    be read or has more than `MOST_PIXELS` pixels.
+    be read or has more than `MAX_PIXELS` pixels.
     """
     from PIL import Image
 
     # Pillow warns above this number of pixels, and refuses twice as many.
-    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MOST_PIXELS // 2
+    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MAX_PIXELS // 2
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', Image.DecompressionBombWarning)

@@ -11,8 +11,8 @@ import pytest
 
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
-from obbhbb_ros.labels.records import Box
-from obbhbb_ros.labels.records import assemble
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import assemble
 
 FIELDS = {
     'image': 'P0706',

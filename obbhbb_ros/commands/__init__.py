@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The commands of `obbhbb`: one module for each group, with their options and what they print."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser
+from argparse import Namespace
+from collections.abc import Callable
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from obbhbb_ros.commands import bag_command
+from obbhbb_ros.commands import chip_commands
+from obbhbb_ros.commands import demo_command
+from obbhbb_ros.commands import label_commands
+from obbhbb_ros.commands import spool_command
+from obbhbb_ros.commands import study_commands
+
+
+class Command(NamedTuple):
+    """
+    A command of `obbhbb`.
+
+    Attributes
+    ----------
+    add_options : callable
+        Adds the options of the command to its parser.
+    run : callable
+        Runs the command with the parsed options and returns the exit code. Its docstring is the
+        help text of the command.
+    """
+
+    add_options: Callable[[ArgumentParser], None]
+    run: Callable[[Namespace], int]
+
+
+COMMANDS = {
+    'demo': Command(demo_command.add_demo_options, demo_command.run_demo),
+    'convert': Command(label_commands.add_convert_options, label_commands.run_convert),
+    'evaluate': Command(study_commands.add_evaluate_options, study_commands.run_evaluate),
+    'calibrate': Command(study_commands.add_calibrate_options, study_commands.run_calibrate),
+    'report': Command(study_commands.add_report_options, study_commands.run_report),
+    'chips': Command(chip_commands.add_chips_options, chip_commands.run_chips),
+    'bag': Command(bag_command.add_bag_options, bag_command.run_bag),
+    'gallery': Command(chip_commands.add_gallery_options, chip_commands.run_gallery),
+    'spool': Command(spool_command.add_spool_options, spool_command.run_spool),
+}
+
+
+def command_line() -> ArgumentParser:
+    """Describe the commands and their options."""
+    parser = ArgumentParser(
+        prog='obbhbb', description='Convert oriented boxes to axis-aligned ones, offline.'
+    )
+    parsers = parser.add_subparsers(required=True, metavar='COMMAND', dest='command')
+    for name, command in COMMANDS.items():
+        command.add_options(parsers.add_parser(name, help=command.run.__doc__))
+    return parser
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Parse a command line, without the program's name, and run it; return the exit code."""
+    options = command_line().parse_args(arguments, Namespace(arguments=list(arguments)))
+    return COMMANDS[options.command].run(options)

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `obbhbb demo`."""
+
+from __future__ import annotations
+
+import shutil
+from argparse import ArgumentParser
+from argparse import Namespace
+from pathlib import Path
+
+from obbhbb_ros.downlink import chips
+from obbhbb_ros.files import write_bytes
+from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.labels import write_labels
+from obbhbb_ros.study import chip_costs
+from obbhbb_ros.study import tables
+from obbhbb_ros.study.harbour import harbour
+from obbhbb_ros.study.harbour import passing
+
+_DEMO_IMAGES = 8
+
+
+def add_demo_options(parser: ArgumentParser) -> None:
+    """Add the options of `obbhbb demo`."""
+    add = parser.add_argument
+    add('--picture', type=Path, default=Path('out/harbour.png'), help='default: %(default)s')
+    add(
+        '--bag',
+        type=Path,
+        help='bag (rosbag2, MCAP) to write; default: harbour_bag beside the picture, where it is '
+        'replaced',
+    )
+
+
+def run_demo(options: Namespace) -> int:
+    """Send a synthetic harbour through the real nodes; print a table, draw it, record a bag."""
+    from obbhbb_ros.nodes.demo import boxes_by_method
+    from obbhbb_ros.study import drawing
+
+    if options.bag and options.bag.exists():
+        raise ValueError(f'{options.bag} exists already')
+    ships = harbour()
+    boxes = boxes_by_method(ships)
+    print(f'{len(ships.class_ids)} ships of a synthetic harbour, converted by the node over DDS\n')
+    print(tables.scene_table(ships, boxes))
+    drawing.save(drawing.scene_figure(ships, boxes), options.picture, dpi=100)
+    print(f'\npicture: {options.picture}')
+    _record_demo(ships, options.bag, options.picture.parent)
+    return 0
+
+
+def _record_demo(ships: ImageLabels, bag: Path | None, folder: Path) -> None:
+    """Record the nodes at work over a harbour, and keep what they saw; or say what that needs."""
+    from obbhbb_ros.nodes import demo
+
+    try:
+        from obbhbb_ros.bags.recording import write_bag
+
+        frames = [(each, chip_costs.render(each)) for each in passing(ships, _DEMO_IMAGES)]
+    except ImportError as error:
+        print(f'no bag, no overlay: {error}; they need the extras `bags` and `chips`')
+        return
+    messages = demo.record_chain(frames)
+    write_bytes(folder / 'overlay.jpg', demo.last_overlay(messages))
+    print(f'overlay: {folder / "overlay.jpg"}, the last picture of the node overlay')
+    for each, pixels in frames:
+        image = folder / 'frames' / f'{each.image}.jpg'
+        write_bytes(image, chips.encode(pixels, chips.CodecSettings('jpeg', quality=90)))
+    write_labels(folder / 'frames' / 'labels.csv', [each for each, _ in frames])
+    print(f'frames:  {folder / "frames"}, {len(frames)} images and their labels')
+    if bag is None:
+        bag = folder / 'harbour_bag'
+        shutil.rmtree(bag, ignore_errors=True)
+    write_bag(bag, demo.RECORDED_TOPICS, messages)
+    print(f'bag:     {bag}, {len(messages)} messages on {len(demo.RECORDED_TOPICS)} topics')

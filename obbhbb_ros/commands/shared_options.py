@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options that several commands have, and what they select."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser
+from argparse import Namespace
+from collections.abc import Mapping
+from pathlib import Path
+
+from obbhbb_ros.geometry import converter
+from obbhbb_ros.labels import FORMATS
+from obbhbb_ros.labels import LabelError
+from obbhbb_ros.study.progress import note
+from obbhbb_ros.study.ships import BOWS
+from obbhbb_ros.study.ships import Ships
+from obbhbb_ros.study.ships import read_ships
+
+PARAMETERS = {
+    'q': 'shape exponent, 1 to inf',
+    'f': f'fullness, above 0, up to {converter.F_RANGE[1]:g}',
+    's': f'shrink factor, above 0, up to {converter.S_RANGE[1]:g}',
+}
+
+
+def add_label_options(parser: ArgumentParser, count: str) -> None:
+    """Add the options that select the ships to read."""
+    add = parser.add_argument
+    add('labels', type=Path, nargs=count, metavar='LABELS', help='label files or folders')
+    add('--format', help=f'{", ".join(FORMATS)}; default: detected')
+    add(
+        '--reference',
+        type=Path,
+        metavar='FILE',
+        help='labels with the reference boxes, matched by image and overlap',
+    )
+    add(
+        '--image-size',
+        type=int,
+        nargs=2,
+        metavar=('W', 'H'),
+        help='size of every image, pixels, for normalised formats without images',
+    )
+    add(
+        '--bow',
+        choices=BOWS,
+        default='none',
+        help='where the bow is known: labels: as the labels say (head points of hrsc); first-edge: '
+        'the first two corners of every box are its bow end; hull: the end of the hull with less '
+        'area; default: %(default)s',
+    )
+
+
+def add_end_options(parser: ArgumentParser) -> None:
+    """Add the options for hulls whose bow is known."""
+    for end in ('bow', 'stern'):
+        parser.add_argument(
+            f'--q-{end}',
+            type=float,
+            help=f'shape exponent of the {end} where the bow is known, 1 to inf; default: q',
+        )
+
+
+def add_number_options(
+    parser: ArgumentParser, defaults: object, meanings: Mapping[str, str]
+) -> None:
+    """Add options for numbers whose names, types and defaults are those of an object."""
+    for name, meaning in meanings.items():
+        default = getattr(defaults, name)
+        parser.add_argument(
+            f'--{name}', type=type(default), default=default, help=f'{meaning}; default: {default}'
+        )
+
+
+def warn_of_ends(options: Namespace) -> None:
+    """Say it if q_bow or q_stern is given, but no bow is known."""
+    if options.bow == 'none' and not options.q_bow is options.q_stern is None:
+        note('obbhbb: --q-bow and --q-stern have no effect without --bow')
+
+
+def read_labelled_ships(options: Namespace) -> Ships:
+    """Read the ships; report malformed records, count them and leave them out."""
+    errors: list[LabelError] = []
+
+    def report(error: LabelError) -> None:
+        errors.append(error)
+        note(f'obbhbb: left out: {error}')
+
+    size = tuple(options.image_size) if options.image_size else None
+    ships = read_ships(
+        options.labels,
+        options.format,
+        reference=options.reference,
+        image_size=size,
+        bow=options.bow,
+        on_error=report,
+    )
+    if options.reference:
+        found = int(ships.with_reference.sum())
+        note(f'obbhbb: {found} of {len(ships)} ships have a box in {options.reference}')
+    if options.bow != 'none':
+        note(f'obbhbb: the bow of {int(ships.with_bow.sum())} of {len(ships)} ships is known')
+    if errors or ships.skipped:
+        note(
+            f'obbhbb: {len(errors)} malformed records and {ships.skipped} boxes without area left '
+            f'out, {len(ships)} ships read'
+        )
+    return ships

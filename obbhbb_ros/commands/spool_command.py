@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `obbhbb spool`."""
+
+from __future__ import annotations
+
+import json
+import math
+from argparse import ArgumentParser
+from argparse import Namespace
+from collections.abc import Callable
+from pathlib import Path
+
+from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.spool import intact_chips
+from obbhbb_ros.study import spools
+
+_CHIPS_LISTED, _EXPORTED = 20, Path('out/chips')
+# Options of `obbhbb spool` that one action takes.
+_OF_ONE_ACTION = {
+    'limit': 'list',
+    'json': 'list',
+    'to': 'revalue',
+    'by': 'revalue',
+    'output': 'export',
+}
+
+
+def add_spool_options(parser: ArgumentParser) -> None:
+    """Add the options of `obbhbb spool`."""
+    add = parser.add_argument
+    add(
+        'spool',
+        type=Path,
+        metavar='PATH',
+        help='folder of the spool; for export also a damaged catalogue, chips_*.sqlite3',
+    )
+    add(
+        'action',
+        nargs='?',
+        default='list',
+        choices=tuple(SPOOL_ACTIONS),
+        help=' '.join(f'{name}: {each.__doc__}' for name, each in SPOOL_ACTIONS.items())
+        + ' Default: %(default)s',
+    )
+    add(
+        '--class',
+        dest='class_ids',
+        nargs='+',
+        default=(),
+        metavar='CLASS',
+        help='only chips of these classes',
+    )
+    add('--id', dest='ids', nargs='+', default=(), metavar='ID', help='only these chips')
+    add(
+        '--min-value',
+        type=float,
+        default=-math.inf,
+        metavar='V',
+        help='only chips of this value or more',
+    )
+    add(
+        '--max-value',
+        type=float,
+        default=math.inf,
+        metavar='V',
+        help='only chips of this value or less',
+    )
+    add('--all', action='store_true', help='delete or revalue all chips, without a condition')
+    add(
+        '--limit',
+        type=int,
+        metavar='N',
+        help=f'list: maximum number of chips (0: all); default: {_CHIPS_LISTED}',
+    )
+    add('--json', action='store_true', help='list: print JSON')
+    add('--to', type=float, metavar='V', help='revalue: the new value')
+    add('--by', type=float, metavar='F', help='revalue: factor on the value, 0 or more')
+    add('-o', '--output', type=Path, help=f'export: folder to write to; default: {_EXPORTED}')
+
+
+def run_spool(options: Namespace) -> int:
+    """List, check, revalue, delete or export the chips of a spool."""
+    for name, action in _OF_ONE_ACTION.items():
+        given = getattr(options, name)
+        if action != options.action and given is not None and given is not False:
+            raise ValueError(f'{options.action}: takes no --{name}, it is for {action}')
+    condition = spools.Condition(
+        options.class_ids, options.ids, options.min_value, options.max_value
+    )
+    if options.spool.is_file() and options.action == 'export':
+        chips = (each for each in intact_chips(options.spool) if condition.matches(each[0]))
+        print(f'{spools.export(chips, options.output or _EXPORTED)} chips exported')
+        return 0
+    if options.action in ('delete', 'revalue') and condition.is_any and not options.all:
+        raise ValueError(f'{options.action}: which chips? Give a condition, or --all')
+    if options.action in ('check', 'forget-outbox') and not condition.is_any:
+        raise ValueError(f'{options.action}: takes no condition, it is for the whole spool')
+    spool = spools.open_spool(options.spool)
+    try:
+        return SPOOL_ACTIONS[options.action](spool, condition, options)
+    finally:
+        spool.close()
+
+
+def _list_spool(spool: Spool, condition: spools.Condition, options: Namespace) -> int:
+    """Show the books, and the chips that are released next."""
+    limit = _CHIPS_LISTED if options.limit is None else options.limit or -1
+    chips, status = spool.select(*condition.sql(), limit), spool.status()
+    if options.json:
+        print(json.dumps(spools.as_json(status, chips), indent=1, ensure_ascii=False))
+    else:
+        print(spools.status_text(status) + '\n\n' + spools.chip_table(chips))
+    return 0
+
+
+def _check_spool(spool: Spool, condition: spools.Condition, options: Namespace) -> int:
+    """Check catalogue, books and files."""
+    wrong = list(spools.wrong_with(spool))
+    print('\n'.join(wrong) or f'{options.spool} is in order')
+    return 1 if wrong else 0
+
+
+def _revalue_spool(spool: Spool, condition: spools.Condition, options: Namespace) -> int:
+    """Give waiting chips another value, and so another place in the order."""
+    if (options.to is None) == (options.by is None):
+        raise ValueError('revalue: give either --to or --by')
+    factor, addend = (0.0, options.to) if options.by is None else (options.by, 0.0)
+    if not math.isfinite(factor + addend):
+        raise ValueError('revalue: the value must be finite')
+    if factor < 0.0:
+        raise ValueError('revalue: --by must be 0 or more: less would turn the order round')
+    print(f'{spool.revalue(*condition.sql(), factor, addend)} chips revalued')
+    return 0
+
+
+def _delete_from_spool(spool: Spool, condition: spools.Condition, options: Namespace) -> int:
+    """Delete waiting chips."""
+    print(f'{spool.delete(*condition.sql())} chips deleted')
+    return 0
+
+
+def _export_spool(spool: Spool, condition: spools.Condition, options: Namespace) -> int:
+    """Write chips and their JSON to a folder, and leave them in the spool."""
+    chips = spools.files_of(spool, spool.select(*condition.sql()))
+    print(f'{spools.export(chips, options.output or _EXPORTED)} chips exported')
+    return 0
+
+
+def _forget_outbox(spool: Spool, condition: spools.Condition, options: Namespace) -> int:
+    """Count the chips in a lost outbox as evicted, so that another one is used."""
+    print(f'{spool.forget_outbox()} chips counted as evicted')
+    return 0
+
+
+# The docstring of the function that carries out an action is its help.
+SPOOL_ACTIONS: dict[str, Callable[[Spool, spools.Condition, Namespace], int]] = {
+    'list': _list_spool,
+    'check': _check_spool,
+    'revalue': _revalue_spool,
+    'delete': _delete_from_spool,
+    'export': _export_spool,
+    'forget-outbox': _forget_outbox,
+}

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the parser of a format works with: a label file, its records and their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from typing import NamedTuple
+from typing import NoReturn
+from typing import TypeVar
+
+import numpy as np
+
+from obbhbb_ros.errors import ObbhbbError
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.image_labels import ImageSize
+
+NO_REFERENCE = (float('nan'),) * 4
+
+Item = TypeVar('Item')
+
+
+class LabelError(ObbhbbError, ValueError):
+    """
+    A label file, or one record of it, that cannot be read.
+
+    Attributes
+    ----------
+    path : Path
+        The file or folder at fault.
+    line : int or None
+        Line of the record, counted from 1; None for the whole file.
+    message : str
+        What is wrong, without path and line.
+    """
+
+    def __init__(self, path: Path, line: int | None, message: str) -> None:
+        super().__init__(path, line, message)
+        self.path = path
+        self.line = line
+        self.message = message
+
+    def __str__(self) -> str:
+        """Return ``path:line: message``, as compilers write it."""
+        place = f'{self.path}' if self.line is None else f'{self.path}:{self.line}'
+        return f'{place}: {self.message}'
+
+
+class FileError(LabelError):
+    """A label file that cannot be used as a whole."""
+
+
+OnError = Callable[[LabelError], None]
+
+
+def raise_error(error: LabelError) -> NoReturn:
+    """Raise the error: the default of `on_error`."""
+    # Without the ValueError of the parser as its cause, which has the same message.
+    raise error from None
+
+
+class Box(NamedTuple):
+    """
+    One record of a label file, as a format's parser returns it.
+
+    `corners` holds x1 y1 … x4 y4, `reference` x1 y1 x2 y2, all in pixels. With `bow`, the first
+    two corners are the bow end.
+    """
+
+    corners: Sequence[float]
+    class_id: str
+    id: str = ''
+    score: float = 1.0
+    reference: Sequence[float] = NO_REFERENCE
+    hull: FloatArray | None = None
+    bow: bool = False
+
+
+@dataclass(frozen=True)
+class LabelFile:
+    """
+    A label file that is being read.
+
+    `image_size` is width and height of every image in pixels, as the caller gave it; `on_error`
+    gets a LabelError for each malformed record, which is left out.
+    """
+
+    path: Path
+    image_size: ImageSize | None
+    on_error: OnError
+
+    def error(self, message: str, line: int | None = None) -> FileError:
+        """Make the error to raise if the file as a whole cannot be used."""
+        return FileError(self.path, line, message)
+
+    def parse_each(
+        self, records: Iterable[tuple[int | None, str, Any]], parse: Callable[[Any], Item]
+    ) -> Iterator[tuple[int | None, str, Item]]:
+        """
+        Parse records one by one, and report and skip those for which `parse` raises ValueError.
+
+        Records come and go with their line, where known, and the start of an error message.
+        """
+        for line, place, record in records:
+            try:
+                item = parse(record)
+            except ValueError as error:
+                self.on_error(LabelError(self.path, line, f'{place}{error}'))
+            else:
+                yield line, place, item
+
+    def image(self, name: str, boxes: Sequence[Box], size: ImageSize | None = None) -> ImageLabels:
+        """Gather the boxes of an image; `size` is used if the caller gave no `image_size`."""
+        return assemble(name, boxes, self.image_size or size, self.path)
+
+    def images(self, boxes: Mapping[str, Sequence[Box]]) -> Iterator[ImageLabels]:
+        """Gather the boxes of images by name."""
+        return (self.image(name, each) for name, each in boxes.items())
+
+
+def assemble(image: str, boxes: Sequence[Box], size: ImageSize | None, source: Path) -> ImageLabels:
+    """Gather the N boxes of an image into arrays of N rows, 0 included."""
+    return ImageLabels(
+        image=image,
+        corners=np.array([box.corners for box in boxes], np.float64).reshape(-1, 4, 2),
+        class_ids=tuple(box.class_id for box in boxes),
+        ids=tuple(box.id for box in boxes),
+        scores=np.array([box.score for box in boxes], np.float64),
+        reference=np.array([box.reference for box in boxes], np.float64).reshape(-1, 4),
+        hulls=tuple(box.hull for box in boxes),
+        size=size,
+        source=source,
+        bow=np.array([box.bow for box in boxes]) if any(box.bow for box in boxes) else None,
+    )

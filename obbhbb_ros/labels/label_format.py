@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a label format is: how to recognise, read and write its files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from obbhbb_ros.labels.image_labels import ImageBoxes
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.label_file import LabelFile
+
+
+@dataclass(frozen=True)
+class Format:
+    """
+    A label format.
+
+    Attributes
+    ----------
+    name : str
+        Name on the command line.
+    suffixes : tuple of str
+        File suffixes, lower case with the dot.
+    summary : str
+        One line for help texts.
+    sniff : callable
+        ``sniff(head)`` returns whether the beginning of a file fits this format, and no other with
+        the same suffix.
+    read : callable
+        ``read(file)`` returns the images of a `LabelFile`. It passes malformed records to its
+        `on_error`, and raises its `error` if the file as a whole cannot be used.
+    write : callable or None
+        ``write(path, images)`` writes a list of checked `ImageLabels`: to a file or, in formats
+        with one file per image, to a folder. It raises ValueError, before it writes anything,
+        for names and values that the format cannot hold. None if the format is only read.
+    write_boxes : callable or None
+        The same for a list of `ImageBoxes`. None if the format is not written with these.
+    holds_diagnostics : bool
+        Whether `write_boxes` writes the diagnostics of a conversion.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    summary: str
+    sniff: Callable[[str], bool]
+    read: Callable[[LabelFile], Iterable[ImageLabels]]
+    write: Callable[[Path, list[ImageLabels]], None] | None = None
+    write_boxes: Callable[[Path, list[ImageBoxes]], None] | None = None
+    holds_diagnostics: bool = False
+
+
+def names(formats: Iterable[Format]) -> str:
+    """List formats for a message: ``csv (.csv), dota (.txt)``."""
+    return ', '.join(f'{each.name} ({", ".join(each.suffixes)})' for each in formats)
