@@ -24,12 +24,10 @@ from obbhbb_ros.downlink.crops import CropPlan
 from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.geometry.boxes import Defect
 from obbhbb_ros.geometry.boxes import FloatArray
-from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import half_extents
 from obbhbb_ros.geometry.converter import to_xyxy
-from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import InputType
@@ -66,7 +64,7 @@ class Outputs(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ConversionOutcome:
     """
     What became of a message.
 
@@ -88,7 +86,7 @@ def answer(
     settings: ConversionSettings,
     camera_size: tuple[int, int],
     outputs: Outputs,
-) -> Outcome:
+) -> ConversionOutcome:
     """
     Convert one message under one snapshot of the settings, and publish what is wanted.
 
@@ -107,12 +105,12 @@ def answer(
 
     Returns
     -------
-    Outcome
+    ConversionOutcome
         What became of it.
 
     Raises
     ------
-    obbhbb_ros.wire.cdr.WireError
+    obbhbb_ros.wire.buffer.WireError
         If the bytes are no such message.
     """
     width, height = (
@@ -127,7 +125,7 @@ def answer(
         outputs.boxes.publish(batch.boxes_message())
     # Asked only now: whoever waits for the boxes does not wait for this.
     wants_sources, wants_regions = outputs.crop_sources.wanted(), outputs.crop_regions.wanted()
-    outcome = Outcome(batch.counts, {})
+    outcome = ConversionOutcome(batch.counts, {})
     if image_size is None:
         missed = {
             'no crop regions': wants_regions or wants_sources,
@@ -147,10 +145,10 @@ def answer(
     return outcome
 
 
-def _without_image_size(counts: Counter[str], consequence: str) -> Outcome:
+def _without_image_size(counts: Counter[str], consequence: str) -> ConversionOutcome:
     """Count a message that needs the size of the image, and say what follows."""
     counts['messages_without_image_size'] += 1
-    return Outcome(
+    return ConversionOutcome(
         counts,
         {
             'no image size': f'{consequence} without the size of the image: set image_width and '
@@ -184,7 +182,7 @@ class Batch:
 
     Raises
     ------
-    obbhbb_ros.wire.cdr.WireError
+    obbhbb_ros.wire.buffer.WireError
         If the bytes are no such message.
     """
 
@@ -198,8 +196,12 @@ class Batch:
         self._settings = settings
         self._image_size = image_size
         self._detections = detections = Detections(data, input_type)
-        self._boxes = oriented_boxes(
-            detections, settings.input_frame, image_size, settings.theta_scale, settings.bow
+        self._boxes = settings.input_frame.oriented_boxes(
+            detections.xywhr(),
+            detections.polygons,
+            image_size,
+            theta_scale=settings.theta_scale,
+            bow=settings.bow,
         )
         self._rule_of: NDArray[np.intp] | None = None
         if settings.rule_of_class:
@@ -334,41 +336,3 @@ class Batch:
             f'{action} {len(rows)} of {len(self._boxes)} detections at stamp '
             f'{seconds}.{nanoseconds:09d}: index {rows[0]} is {Defect(defects[0]).name.lower()}'
         )
-
-
-def oriented_boxes(
-    detections: Detections,
-    frame: InputFrame,
-    image_size: tuple[int, int] | None,
-    theta_scale: float = 1.0,
-    bow: bool = False,
-) -> OrientedBoxes:
-    """
-    Read oriented boxes in image coordinates.
-
-    Parameters
-    ----------
-    detections : Detections
-        The detections.
-    frame : InputFrame
-        Coordinates of the input.
-    image_size : tuple of int or None
-        Width and height of the image, pixels; without it boxes stay as they are.
-    theta_scale : float
-        Factor from the input's angle unit to radians.
-    bow : bool
-        Whether the angles of the input point to the bow.
-    """
-    if detections.polygons is not None:
-        polygons = detections.polygons
-        if image_size and not frame.is_image:
-            polygons = [frame.to_image(each, image_size) for each in polygons]
-        return OrientedBoxes.from_polygons(polygons)
-    xywhr = detections.xywhr()
-    if theta_scale != 1.0:
-        # NumPy warns of a signalling NaN.
-        with np.errstate(invalid='ignore', over='ignore'):
-            xywhr[:, 4] *= theta_scale
-    if image_size and not frame.is_image:
-        return frame.boxes_to_image(xywhr, image_size, bow)
-    return OrientedBoxes.from_xywhr(xywhr, bow=bow)

@@ -53,7 +53,7 @@ from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.settings.parameter_file import Values
 from obbhbb_ros.settings.parameter_file import read_values
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import read_image_size
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from obbhbb_ros.downlink.chips import Chip
 from obbhbb_ros.spool.spool import NewChip
 from obbhbb_ros.wire.image import WireImage
-from obbhbb_ros.wire.plans import Plan
 from obbhbb_ros.wire.plans import Source
+from obbhbb_ros.wire.plans import WirePlan
 
 
 class Recorder:
@@ -21,7 +21,7 @@ class Recorder:
     ----------
     image : WireImage
         The image they are cut from.
-    plan : Plan
+    plan : WirePlan
         The plan they are cut by.
     sources : sequence of Source
         Where each region of the plan comes from; empty if that is not known, and then the score is
@@ -35,7 +35,7 @@ class Recorder:
     def __init__(
         self,
         image: WireImage,
-        plan: Plan,
+        plan: WirePlan,
         sources: Sequence[Source],
         codec: str,
         camera_matrix: Sequence[float],

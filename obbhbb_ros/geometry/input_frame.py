@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,50 @@ class InputFrame:
     def is_image(self) -> bool:
         """Whether detections are in image coordinates already."""
         return self.fit == 'none'
+
+    def oriented_boxes(
+        self,
+        xywhr: FloatArray,
+        polygons: Sequence[FloatArray] | None = None,
+        image_size: tuple[int, int] | None = None,
+        *,
+        theta_scale: float = 1.0,
+        bow: bool = False,
+    ) -> OrientedBoxes:
+        """
+        Make oriented boxes in image coordinates from detections in this frame.
+
+        Parameters
+        ----------
+        xywhr : ndarray, shape (N, 5)
+            Boxes as `OrientedBoxes.from_xywhr` takes them, but for the unit of theta.
+        polygons : sequence of ndarray, each of shape (K, 2), optional
+            Vertices of N polygons, pixels, to be used in place of `xywhr`.
+        image_size : tuple of int, optional
+            Width and height of the image, pixels; without it boxes stay in this frame.
+        theta_scale : float
+            Factor from the unit of theta to radians.
+        bow : bool
+            Whether theta points to the bow.
+
+        Returns
+        -------
+        OrientedBoxes
+            N boxes.
+        """
+        target = None if self.is_image else image_size
+        if polygons is not None:
+            if target:
+                polygons = [self.to_image(vertices, target) for vertices in polygons]
+            return OrientedBoxes.from_polygons(polygons)
+        if theta_scale != 1.0:
+            # NumPy warns of a signalling NaN.
+            with np.errstate(invalid='ignore', over='ignore'):
+                theta = xywhr[:, 4:] * theta_scale
+            xywhr = np.hstack((xywhr[:, :4], theta))
+        if target:
+            return self.boxes_to_image(xywhr, target, bow)
+        return OrientedBoxes.from_xywhr(xywhr, bow=bow)
 
     def to_image(self, points: FloatArray, image_size: tuple[int, int]) -> FloatArray:
         """

@@ -10,7 +10,7 @@ from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import RegionOfInterest
 
 from obbhbb_ros.downlink.chips import Region
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image import read_image_size
 

@@ -46,11 +46,11 @@ from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.spool import Frame
 from obbhbb_ros.spool.spool import NewChip
 from obbhbb_ros.spool.spool import Spool
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image import read_image
-from obbhbb_ros.wire.plans import Plan
 from obbhbb_ros.wire.plans import Source
+from obbhbb_ros.wire.plans import WirePlan
 from obbhbb_ros.wire.plans import read_sources
 
 _IMAGE, _REGIONS = 0, 1
@@ -72,7 +72,7 @@ _MISTAKES = (Unpaired.DUPLICATE, Unpaired.ZERO_STAMP)
 class PlannedFrame:
     """A crop plan, and its place in the books of the spool if there is one."""
 
-    plan: Plan
+    plan: WirePlan
     frame: Frame | None
 
     def __len__(self) -> int:
@@ -219,7 +219,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._monitor.add('messages_while_inactive')
             return
         try:
-            plan = Plan(data)
+            plan = WirePlan(data)
         except WireError as error:
             self._drop_unreadable(data, self._regions_in, error)
             return
@@ -321,7 +321,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         chips: Iterator[Chip],
         records: list[NewChip],
         image: WireImage,
-        plan: Plan,
+        plan: WirePlan,
         settings: ChipSettings,
     ) -> Iterator[Chip]:
         """Pass chips on, and add their records for the spool to a list."""
@@ -332,7 +332,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             records.append(recorder.record(chip))
             yield chip
 
-    def _sources_of(self, plan: Plan) -> list[Source]:
+    def _sources_of(self, plan: WirePlan) -> list[Source]:
         """Take the sources of the regions of a plan; none if they are not for this plan."""
         sources = self._sources.pop(plan.stamp, [])
         if plan.has_sources(sources):

@@ -18,7 +18,7 @@ from obbhbb_ros.downlink.chips import format_text
 from obbhbb_ros.downlink.stamps import ChipStamps
 from obbhbb_ros.nodes.camera import region_of_interest
 from obbhbb_ros.wire.image import WireImage
-from obbhbb_ros.wire.plans import Plan
+from obbhbb_ros.wire.plans import WirePlan
 
 # A frame's chips go out at once: those behind a large one would push it out of a short queue
 # before its last piece is sent.
@@ -49,7 +49,7 @@ class ChipTopics:
         publishers = self._files, self._places, self._identities
         return any(each.get_subscription_count() for each in publishers)
 
-    def of_frame(self, image: WireImage, plan: Plan, camera: Any, codec: str) -> FrameTopics:
+    def of_frame(self, image: WireImage, plan: WirePlan, camera: Any, codec: str) -> FrameTopics:
         """Prepare the chips of an image, cut by a plan and seen by a camera."""
         return FrameTopics(self, image, plan, camera, codec)
 
@@ -58,7 +58,7 @@ class FrameTopics:
     """The topics for the chips of one image; made by `ChipTopics.of_frame`."""
 
     def __init__(
-        self, topics: ChipTopics, image: WireImage, plan: Plan, camera: Any, codec: str
+        self, topics: ChipTopics, image: WireImage, plan: WirePlan, camera: Any, codec: str
     ) -> None:
         self._topics, self._image, self._plan, self._camera = topics, image, plan, camera
         self._format = format_text(image.encoding, codec)

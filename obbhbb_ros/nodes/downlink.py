@@ -22,7 +22,7 @@ from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.release import IDLE
 from obbhbb_ros.spool.release import Releaser
 from obbhbb_ros.spool.spool import Spool
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.contact import read_contact
 
 # Seconds that the worker has for its last step; a disk that does not answer keeps it longer.

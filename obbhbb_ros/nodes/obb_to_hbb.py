@@ -16,7 +16,7 @@ from obbhbb_ros.pipeline import Outputs
 from obbhbb_ros.pipeline import answer
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import read_image_size
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 

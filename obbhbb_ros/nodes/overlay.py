@@ -30,7 +30,7 @@ from obbhbb_ros.settings.common import IMAGES_KEPT
 from obbhbb_ros.settings.common import PLANS_KEPT
 from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.overlay import OverlaySettings
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import read_image
 from obbhbb_ros.wire.layouts import INPUT_TYPES

@@ -24,7 +24,6 @@ from obbhbb_ros.overlay.drawing import Picture
 from obbhbb_ros.overlay.drawing import draw
 from obbhbb_ros.overlay.drawing import label_text
 from obbhbb_ros.overlay.drawing import lines
-from obbhbb_ros.pipeline import oriented_boxes
 from obbhbb_ros.settings.overlay import OverlaySettings
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import WireImage
@@ -100,10 +99,12 @@ class OverlayFrame:
         size, settings = (self.image.width, self.image.height), self._settings
         found = {}
         for layer, detections in self._layers.items():
+            frame, theta_scale = InputFrame((0, 0)), 1.0
             if layer == 'detections':
-                boxes = oriented_boxes(detections, settings.input_frame, size, settings.theta_scale)
-            else:
-                boxes = oriented_boxes(detections, InputFrame((0, 0)), None)
+                frame, theta_scale = settings.input_frame, settings.theta_scale
+            boxes = frame.oriented_boxes(
+                detections.xywhr(), detections.polygons, size, theta_scale=theta_scale
+            )
             found[layer] = np.where(boxes.valid[:, None, None], boxes.corners, np.nan)
         return found
 

@@ -27,6 +27,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from obbhbb_ros.wire.buffer import WireError
+
 IntArray: TypeAlias = NDArray[np.int64]
 Words: TypeAlias = NDArray[np.uint32]
 
@@ -40,10 +42,6 @@ _NATIVE = '<' if sys.byteorder == 'little' else '>'
 BODY = 2 * ENCAPSULATION
 # What is left of a word whose first 0, 1, 2 or 3 bytes belong to a string; 0: it has no such word.
 _KEPT = np.array([0xFFFFFFFF, 0xFF, 0xFFFF, 0xFFFFFF], np.uint32)
-
-
-class WireError(ValueError):
-    """The bytes are not such a message; the text says what is wrong and where."""
 
 
 class UnevenError(Exception):

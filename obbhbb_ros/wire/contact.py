@@ -26,7 +26,7 @@ def read_contact(data: bytes) -> bool:
 
     Raises
     ------
-    obbhbb_ros.wire.cdr.WireError
+    obbhbb_ros.wire.buffer.WireError
         If the bytes are no such message.
     """
     return Message(data, _BOOL).bytes_at('data')[0] != 0

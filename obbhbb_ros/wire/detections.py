@@ -20,11 +20,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.cdr import ENDS
 from obbhbb_ros.wire.cdr import LITTLE_ENDIAN
 from obbhbb_ros.wire.cdr import Elements
 from obbhbb_ros.wire.cdr import IntArray
-from obbhbb_ros.wire.cdr import WireError
 from obbhbb_ros.wire.cdr import Words
 from obbhbb_ros.wire.cdr import steps_of
 from obbhbb_ros.wire.layouts import DETECTION_2D
@@ -80,7 +80,7 @@ class Detections:
 
     Raises
     ------
-    obbhbb_ros.wire.cdr.WireError
+    obbhbb_ros.wire.buffer.WireError
         If the bytes are no such message.
     """
 
@@ -525,7 +525,7 @@ def canonical(data: bytes) -> bytes:
 
     Raises
     ------
-    obbhbb_ros.wire.cdr.WireError
+    obbhbb_ros.wire.buffer.WireError
         If the bytes are no such message.
     """
     return Elements(data, _HEADER, _DETECTION).message()

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.cdr import Message
-from obbhbb_ros.wire.cdr import WireError
 from obbhbb_ros.wire.cdr import steps_of
 from obbhbb_ros.wire.layouts import CAMERA_INFO
 from obbhbb_ros.wire.layouts import IMAGE

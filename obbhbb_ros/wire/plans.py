@@ -35,7 +35,7 @@ class Source(NamedTuple):
     obb: tuple[float, ...]
 
 
-class Plan:
+class WirePlan:
     """
     A message on `crop_regions`.
 
@@ -58,7 +58,7 @@ class Plan:
 
     Raises
     ------
-    obbhbb_ros.wire.cdr.WireError
+    obbhbb_ros.wire.buffer.WireError
         If the bytes are no such message.
     """
 
@@ -140,7 +140,7 @@ def read_sources(data: bytes) -> tuple[tuple[int, int], list[Source]]:
 
     Raises
     ------
-    obbhbb_ros.wire.cdr.WireError
+    obbhbb_ros.wire.buffer.WireError
         If the bytes are no such message.
     """
     detections = Detections(data)

@@ -42,12 +42,12 @@ from obbhbb_ros.downlink.chips import placed
 from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.pipeline import Batch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import read_image
 from obbhbb_ros.wire.image import read_image_size
 from obbhbb_ros.wire.layouts import INPUT_TYPES
-from obbhbb_ros.wire.plans import Plan
+from obbhbb_ros.wire.plans import WirePlan
 from obbhbb_ros.wire.plans import read_sources
 
 EXTREMES = [0.0, -0.0, 5e-324, 1e-308, 1e15, 1e150, 1e154, 1e155, 1.7e308, np.nan, np.inf]
@@ -178,7 +178,7 @@ def image_check(data: bytes) -> str:
 def regions_check(data: bytes) -> str:
     """Do with a crop plan what the chip node does."""
     try:
-        plan = Plan(data)
+        plan = WirePlan(data)
         read_sources(data)
     except WireError:
         return 'refused'

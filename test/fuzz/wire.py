@@ -29,7 +29,7 @@ from cdr import Hypothesis
 from cdr import Message
 from cdr import encode
 
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.detections import canonical
 

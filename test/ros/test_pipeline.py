@@ -29,7 +29,7 @@ from obbhbb_ros.nodes.play_detections import polygons_message
 from obbhbb_ros.nodes.play_detections import yolo_message
 from obbhbb_ros.pipeline import Batch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import read_image_size
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 

@@ -21,7 +21,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from obbhbb_ros.wire import cdr
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.detections import canonical
 

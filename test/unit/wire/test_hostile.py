@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from cdr import Writer
 
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import read_image_size
 from obbhbb_ros.wire.layouts import INPUT_TYPES

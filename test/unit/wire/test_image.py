@@ -7,7 +7,7 @@ from cdr import Writer
 from hypothesis import given
 from hypothesis import strategies as st
 
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import read_image
 
 ORDERS = pytest.mark.parametrize('order', '<>')

@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 
 from obbhbb_ros.pipeline import Batch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
-from obbhbb_ros.wire.cdr import WireError
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import INPUT_TYPES
-from obbhbb_ros.wire.plans import Plan
 from obbhbb_ros.wire.plans import Source
+from obbhbb_ros.wire.plans import WirePlan
 from obbhbb_ros.wire.plans import read_sources
 
 ORDERS = pytest.mark.parametrize('order', '<>')
@@ -29,7 +29,7 @@ NAN, INF = float('nan'), float('inf')
 
 
 def plan_of(*detections, order='<'):
-    return Plan(encode(Message(detections=detections), order))
+    return WirePlan(encode(Message(detections=detections), order))
 
 
 def best_of(results):
@@ -64,7 +64,7 @@ def test_regions_are_whole_pixels(box, region) -> None:
 @ORDERS
 @given(message=MESSAGES)
 def test_class_score_and_ids_are_those_of_the_message(order, message) -> None:
-    plan = Plan(encode(message, order))
+    plan = WirePlan(encode(message, order))
     assert plan.stamp == message.stamp
     assert len(plan) == len(message.detections)
     for row, detection in enumerate(message.detections):
@@ -87,7 +87,7 @@ def test_the_ids_of_merged_regions_are_several(text, ids) -> None:
 def test_a_region_stands_alone_with_the_headers_of_chip_and_image(
     order, message, stamp, image_stamp, frame_id, data
 ) -> None:
-    plan = Plan(encode(message, order))
+    plan = WirePlan(encode(message, order))
     for row in data.draw(st.sets(st.sampled_from(range(max(len(plan), 1))), max_size=4)):
         if row < len(plan):
             detection = replace(message.detections[row], stamp=image_stamp, frame_id=frame_id)
@@ -96,7 +96,7 @@ def test_a_region_stands_alone_with_the_headers_of_chip_and_image(
             )
 
 
-@pytest.mark.parametrize('read', [Plan, read_sources])
+@pytest.mark.parametrize('read', [WirePlan, read_sources])
 @pytest.mark.parametrize('cut', [0, 3, 20, -1])
 def test_what_is_no_message_is_refused(read, cut) -> None:
     data = encode(Message(detections=(Detection(),)))
@@ -169,7 +169,7 @@ def test_ranked_detections_have_values_for_scores_and_other_boxes(
     ],
 )
 def test_sources_are_those_of_a_plan_if_their_ids_are(regions, sources, belong) -> None:
-    plan = Plan(encode(Message(detections=tuple(Detection(id=each) for each in regions))))
+    plan = WirePlan(encode(Message(detections=tuple(Detection(id=each) for each in regions))))
     _, found = read_sources(
         encode(Message(detections=tuple(Detection(id=each) for each in sources)))
     )
@@ -205,7 +205,7 @@ def scene(merge=0):
 @pytest.mark.parametrize('merge', [0, 200])
 def test_each_region_has_its_source_at_its_place(merge) -> None:
     batch = scene(merge)
-    plan = Plan(batch.crop_regions_message())
+    plan = WirePlan(batch.crop_regions_message())
     stamp, sources = read_sources(batch.crop_sources_message())
     assert stamp == plan.stamp == (3, 4)
     assert len(sources) == len(plan) == (2 if merge else 3)
@@ -226,7 +226,7 @@ def test_each_region_has_its_source_at_its_place(merge) -> None:
 
 def test_the_source_of_a_region_is_its_most_valuable_detection() -> None:
     batch = scene(200)
-    plan = Plan(batch.crop_regions_message())
+    plan = WirePlan(batch.crop_regions_message())
     _, sources = read_sources(batch.crop_sources_message())
     (merged,) = (
         source for ids, source in zip(plan.detection_ids(), sources, strict=True) if len(ids) == 2
