@@ -27,6 +27,7 @@ from obbhbb_ros.settings.parameter_file import yaml_value
 from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.settings.parameters import ParameterTable
 from obbhbb_ros.settings.play_detections import PLAY_DETECTIONS
+from obbhbb_ros.text_tables import markdown_table
 
 # What the rule leaves open keeps its default.
 PAPER = {name: value for name, value in asdict(PAPER_RULE).items() if value is not None}
@@ -72,7 +73,7 @@ def yaml_file(title: str, values: Mapping[str, Any], table: Sequence[Parameter])
     return '\n'.join(lines) + '\n'
 
 
-def markdown_table(table: Sequence[Parameter]) -> str:
+def parameters_table(table: Sequence[Parameter]) -> str:
     """Write the rows as a Markdown table."""
     rows = [
         (
@@ -84,13 +85,7 @@ def markdown_table(table: Sequence[Parameter]) -> str:
         )
         for spec in table
     ]
-    return rows_table(('parameter', 'type', 'default', 'range', 'meaning'), rows)
-
-
-def rows_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Write rows of cells as a Markdown table."""
-    lines = [head, ['---'] * len(head), *rows]
-    return ''.join('| ' + ' | '.join(line) + ' |\n' for line in lines)
+    return markdown_table(('parameter', 'type', 'default', 'range', 'meaning'), rows)
 
 
 def with_table(document: str, name: str, table: str) -> str:
@@ -122,10 +117,10 @@ def page_tables() -> dict[str, dict[str, str]]:
     ]
     head = ('method', 'what it encloses', 'tuned by', 'in the node')
     return {
-        'method': {'methods': rows_table(head, methods)},
-        'formats': {'formats': rows_table(('format', 'files', 'what it is'), formats)},
+        'method': {'methods': markdown_table(head, methods)},
+        'formats': {'formats': markdown_table(('format', 'files', 'what it is'), formats)},
         **{
-            node: {'parameters': markdown_table(table.rows + table.class_rows)}
+            node: {'parameters': parameters_table(table.rows + table.class_rows)}
             for node, table in NODE_TABLES.items()
         },
     }

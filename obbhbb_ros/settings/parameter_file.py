@@ -58,7 +58,14 @@ def read_values(path: Path, node: str) -> Values:
 
 
 def yaml_value(value: Any) -> str:
-    """Write one value so that ROS reads it back with its type."""
+    """
+    Write a value so that ROS reads it back with its type.
+
+    Examples
+    --------
+    >>> [yaml_value(value) for value in (3.0, float('inf'), True, 'boxes')]
+    ['3.0', '.inf', 'true', '"boxes"']
+    """
     if isinstance(value, float) and not math.isfinite(value):
         return '.nan' if math.isnan(value) else f'{"-" if value < 0 else ""}.inf'
     return json.dumps(value)

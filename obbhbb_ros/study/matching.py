@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from collections.abc import Sequence
-from dataclasses import dataclass
 from dataclasses import replace
 
 import numpy as np
@@ -21,26 +20,11 @@ from obbhbb_ros.study.metrics import iou
 MIN_IOU = 0.3
 
 
-@dataclass(frozen=True, eq=False)
-class Matching:
-    """
-    All oriented boxes, in their order, with the reference boxes found for them.
-
-    Rows of `reference` in `images` are NaN where none was found; `matched` is the number found.
-    Unmatched oriented boxes are given by image and row, unmatched references by image and xyxy.
-    """
-
-    images: tuple[ImageLabels, ...]
-    matched: int
-    unmatched_boxes: tuple[tuple[str, int], ...]
-    unmatched_references: tuple[tuple[str, FloatArray], ...]
-
-
 def match_references(
     boxes: Iterable[ImageLabels], references: Iterable[ImageLabels], min_iou: float = MIN_IOU
-) -> Matching:
+) -> tuple[ImageLabels, ...]:
     """
-    Match oriented boxes to the reference boxes of another source.
+    Replace the reference boxes of oriented boxes by those of another source, matched by overlap.
 
     Images are the same if their names are, without folder and suffix. Within an image the pair
     with the highest IoU is matched first, then the next highest of those left; at equal IoU the
@@ -58,6 +42,11 @@ def match_references(
         depend on a conversion rule, so the choice favours none. The reference box of a thin ship
         may be half as large as its bounds, so a higher limit would drop the difficult cases.
 
+    Returns
+    -------
+    tuple of ImageLabels
+        The oriented boxes, in their order; the rows of `reference` are NaN without a match.
+
     Raises
     ------
     ValueError
@@ -70,31 +59,20 @@ def match_references(
         name: np.concatenate([others[index].reference for index in rows])
         for name, rows in _rows_by_name(others).items()
     }
-    pools = {name: pool[np.isfinite(pool).all(axis=1)] for name, pool in pools.items()}
     matched = [np.full((len(image.class_ids), 4), np.nan) for image in images]
     for name, rows in _rows_by_name(images).items():
         if name not in pools:
             continue
-        owners = np.repeat(rows, [len(matched[index]) for index in rows])
-        own, other = match_boxes(
-            bounds(np.concatenate([images[index].corners for index in rows])), pools[name], min_iou
-        )
-        found = np.full((len(owners), 4), np.nan)
-        found[own] = pools[name][other]
-        for index in rows:
-            matched[index] = found[owners == index]
-        pools[name] = np.delete(pools[name], other, axis=0)
-    pairs = list(zip(images, matched, strict=True))
-    unmatched = tuple(
-        (image.image, int(row))
-        for image, reference in pairs
-        for row in np.flatnonzero(np.isnan(reference[:, 0]))
-    )
-    return Matching(
-        images=tuple(replace(image, reference=reference) for image, reference in pairs),
-        matched=sum(map(len, matched)) - len(unmatched),
-        unmatched_boxes=unmatched,
-        unmatched_references=tuple((name, row) for name, pool in pools.items() for row in pool),
+        corners = np.concatenate([images[index].corners for index in rows])
+        reference = np.full((len(corners), 4), np.nan)
+        box_rows, pool_rows = match_boxes(bounds(corners), pools[name], min_iou)
+        reference[box_rows] = pools[name][pool_rows]
+        ends = np.cumsum([len(matched[index]) for index in rows])[:-1]
+        for index, part in zip(rows, np.split(reference, ends), strict=True):
+            matched[index] = part
+    return tuple(
+        replace(image, reference=reference)
+        for image, reference in zip(images, matched, strict=True)
     )
 
 
@@ -107,25 +85,25 @@ def match_boxes(
     Returns the rows of `boxes` and of `references` of each pair, by falling IoU; NaN rows match
     nothing.
     """
-    own, other = (np.flatnonzero(np.isfinite(each).all(axis=1)) for each in (boxes, references))
+    rows, others = (np.flatnonzero(np.isfinite(xyxy).all(axis=1)) for xyxy in (boxes, references))
     # Only the pairs that touch: all pairs of a large scene would be millions.
-    tree = shapely.STRtree(shapely.box(*references[other].T))
-    near_own, near_other = tree.query(shapely.box(*boxes[own].T))
-    own, other = own[near_own], other[near_other]
+    tree = shapely.STRtree(shapely.box(*references[others].T))
+    near_rows, near_others = tree.query(shapely.box(*boxes[rows].T))
+    rows, others = rows[near_rows], others[near_others]
     # Two boxes without area have no IoU, and do not match.
     with np.errstate(invalid='ignore'):
-        overlap = iou(boxes[own], references[other])
+        overlap = iou(boxes[rows], references[others])
     candidates = np.flatnonzero(overlap >= min_iou)
-    ranking = (other[candidates], own[candidates], -overlap[candidates])
+    ranking = (others[candidates], rows[candidates], -overlap[candidates])
     best_first = candidates[np.lexsort(ranking)]
     free_boxes, free_references = np.ones(len(boxes), bool), np.ones(len(references), bool)
-    chosen: list[int] = []
+    pairs: list[int] = []
     for pair in best_first.tolist():
-        if free_boxes[own[pair]] and free_references[other[pair]]:
-            free_boxes[own[pair]] = free_references[other[pair]] = False
-            chosen.append(pair)
-    rows = np.array(chosen, dtype=np.intp)
-    return own[rows], other[rows]
+        if free_boxes[rows[pair]] and free_references[others[pair]]:
+            free_boxes[rows[pair]] = free_references[others[pair]] = False
+            pairs.append(pair)
+    chosen = np.array(pairs, dtype=np.intp)
+    return rows[chosen], others[chosen]
 
 
 def _rows_by_name(images: Sequence[ImageLabels]) -> dict[str, list[int]]:

@@ -7,10 +7,9 @@ import json
 from collections.abc import Mapping
 from collections.abc import Sequence
 
-import numpy as np
-
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.methods import ONBOARD_METHODS
+from obbhbb_ros.settings.parameter_file import yaml_value
 
 
 def yaml_text(
@@ -44,17 +43,17 @@ def yaml_text(
         s: 1.0
     <BLANKLINE>
     """
-    for class_id, each in {'': rule, **rule_of_class}.items():
-        if each.method not in ONBOARD_METHODS:
-            raise ValueError(f'the node does not offer the method {each.method}')
+    for class_id, class_rule in {'': rule, **rule_of_class}.items():
+        if class_rule.method not in ONBOARD_METHODS:
+            raise ValueError(f'the node does not offer the method {class_rule.method}')
         if class_id != class_id.strip() or not class_id.isprintable():
             raise ValueError(f'class {class_id!r} cannot be part of a parameter name')
     lines = [f'# {line}' for note in notes for line in note.splitlines()]
     lines += ['/**:', '  ros__parameters:', *_values(rule, '    ')]
     if rule_of_class:
         lines += [f'    class_ids: {json.dumps(list(rule_of_class))}', '    classes:']
-        for class_id, own in rule_of_class.items():
-            lines += [f'      {json.dumps(class_id)}:', *_values(own, '        ')]
+        for class_id, class_rule in rule_of_class.items():
+            lines += [f'      {json.dumps(class_id)}:', *_values(class_rule, '        ')]
     return '\n'.join(lines) + '\n'
 
 
@@ -62,11 +61,8 @@ def _values(rule: HullRule, indent: str) -> list[str]:
     """Format the parameters of a rule; q_bow and q_stern only if it has them."""
     numbers = {name: getattr(rule, name) for name in ('q', 'f', 's', 'q_bow', 'q_stern')}
     lines = [
-        f'{indent}{name}: {_double(each)}' for name, each in numbers.items() if each is not None
+        f'{indent}{name}: {yaml_value(float(number))}'
+        for name, number in numbers.items()
+        if number is not None
     ]
     return [f'{indent}method: {json.dumps(rule.method)}', *lines]
-
-
-def _double(value: float) -> str:
-    """Format a number with a decimal point, so that ROS reads it as a double."""
-    return repr(float(value)) if np.isfinite(value) else '.inf'

@@ -1,21 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rules that are compared: the paper's, the default of each method, rules by class."""
+"""The rules that are compared: that of the paper, and the defaults of all methods."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.converter import PAPER_RULE
 from obbhbb_ros.geometry.converter import HullRule
-from obbhbb_ros.geometry.converter import centers_and_extents
-from obbhbb_ros.geometry.converter import to_xyxy
 from obbhbb_ros.geometry.methods import METHODS
-from obbhbb_ros.study.ships import Ships
 
 DEFAULT_RULES: MappingProxyType[str, HullRule] = MappingProxyType(
     {name: HullRule(name) for name in METHODS} | {PAPER_RULE.method: PAPER_RULE}
@@ -42,20 +37,10 @@ def choose_rules(
     if unknown:
         raise ValueError(f'no method {unknown[0]!r}; there are {", ".join(METHODS)}')
     chosen = {name: DEFAULT_RULES[name] for name in methods or METHODS}
-    given: dict[str, Any] = {'q': q, 'f': f, 's': s}
-    given = {name: value for name, value in given.items() if value is not None}
+    shape: dict[str, Any] = {'q': q, 'f': f, 's': s}
+    shape = {name: value for name, value in shape.items() if value is not None}
     for name in chosen.keys() & set(TUNABLE_METHODS):
         two_ended = METHODS[name].two_ended
         ends: dict[str, Any] = {'q_bow': q_bow, 'q_stern': q_stern} if two_ended else {}
-        chosen[name] = replace(chosen[name], **given, **ends)
+        chosen[name] = replace(chosen[name], **shape, **ends)
     return chosen
-
-
-def convert_by_class(
-    ships: Ships, rule: HullRule, rule_of_class: Mapping[str, HullRule]
-) -> FloatArray:
-    """Convert N ships as the node does, by the rule of their class, or else by `rule`; (N, 4)."""
-    rules = [*rule_of_class.values(), rule]
-    # The index of a class without a rule, -1, is that of the last rule.
-    rule_of = ships.class_index(rule_of_class) % len(rules)
-    return to_xyxy(*centers_and_extents(ships.boxes, rules, rule_of))

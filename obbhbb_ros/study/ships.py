@@ -208,7 +208,7 @@ def read_ships(
 
     images = tuple(labels for path in paths for labels in read(path, format))
     if reference is not None:
-        images = match_references(images, read(reference)).images
+        images = match_references(images, read(reference))
     return Ships.from_labels(images, bow)
 
 

@@ -27,6 +27,7 @@ from obbhbb_ros.spool.spool import describe_intact
 from obbhbb_ros.study.progress import note
 from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track
+from obbhbb_ros.text_tables import aligned
 
 STATES = {WAITING: 'waiting', CLAIMED: 'being released', RELEASED: 'in outbox'}
 
@@ -127,14 +128,7 @@ def chip_table(chips: Iterable[StoredChip]) -> str:
         )
         for chip in chips
     ]
-    widths = [max(len(row[i]) for row in rows) for i in range(5)]
-    return '\n'.join(
-        '  '.join(
-            cell.rjust(width) if i in (2, 3) else cell.ljust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    )
+    return '\n'.join(aligned(rows, left=(0, 1, 4)))
 
 
 def as_json(status: Status, chips: Iterable[StoredChip]) -> Mapping[str, Any]:

@@ -21,19 +21,7 @@ from obbhbb_ros.study.cross_validation import CALIBRATED
 from obbhbb_ros.study.cross_validation import Outcome
 from obbhbb_ros.study.paper_table import Comparison
 from obbhbb_ros.study.rules import TUNABLE_METHODS
-
-
-def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Align columns: the first to the left, the others to the right."""
-    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    lines = [list(head), ['-' * width for width in widths], *map(list, rows)]
-    return '\n'.join(
-        '  '.join(
-            cell.rjust(width) if i else cell.ljust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        )
-        for line in lines
-    )
+from obbhbb_ros.text_tables import text_table
 
 
 def score_tables(

@@ -21,7 +21,7 @@ import shapely
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
 from obbhbb_ros.geometry.methods import METHODS
-from obbhbb_ros.study.tables import text_table
+from obbhbb_ros.text_tables import text_table
 
 LOOP_AT_MOST = 10_000
 ROUNDS = 7

@@ -26,7 +26,7 @@ from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.geometry.boxes import FloatArray
-from obbhbb_ros.study.tables import text_table
+from obbhbb_ros.text_tables import text_table
 from obbhbb_ros.wire.image import read_image
 
 SIDE = 4096

@@ -29,7 +29,7 @@ from harness import Peer
 from harness import site_at
 from ships import detector_message
 
-from obbhbb_ros.study.tables import text_table
+from obbhbb_ros.text_tables import text_table
 
 TICKS = os.sysconf('SC_CLK_TCK')
 PEERS = [sys.executable, str(Path(__file__).with_name('peers.py'))]

@@ -45,7 +45,7 @@ from obbhbb_ros.spool.spool import Spool
 from obbhbb_ros.spool.spool import Status
 from obbhbb_ros.study.chip_costs import render
 from obbhbb_ros.study.harbour import harbour
-from obbhbb_ros.study.tables import text_table
+from obbhbb_ros.text_tables import text_table
 
 # Seconds between two steps of the releaser that has to wait.
 STEP = 0.1
@@ -417,7 +417,7 @@ def table(outcome: Outcome) -> str:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Draw the value delivered over the day."""
-    from obbhbb_ros.study import drawing
+    from delivery import delivery_figure
 
     day = outcome.day
     curves = {
@@ -431,14 +431,15 @@ def draw(outcome: Outcome, path: Path) -> None:
         (window.start * day.period / 3600.0, window.stop * day.period / 3600.0)
         for window in day.windows
     ]
-    figure = drawing.delivery_figure(
+    figure = delivery_figure(
         curves,
         outcome.best(),
         contacts,
         day.frames * day.period / 3600.0,
         'Synthetic harbour: value delivered over a day',
     )
-    drawing.save(figure, path, dpi=100)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=100)
 
 
 def main() -> None:

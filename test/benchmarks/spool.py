@@ -32,7 +32,7 @@ from obbhbb_ros.spool.release import Releaser
 from obbhbb_ros.spool.release import ReleaseSettings
 from obbhbb_ros.spool.spool import NewChip
 from obbhbb_ros.spool.spool import Spool
-from obbhbb_ros.study.tables import text_table
+from obbhbb_ros.text_tables import text_table
 
 FRAME = 100
 SIZE = 2000

@@ -15,7 +15,7 @@ from node import Asked
 from node import all_asked
 from node import detector_message
 
-from obbhbb_ros.study.tables import text_table
+from obbhbb_ros.text_tables import text_table
 
 HEAD = ('node', 'CPU [ms/message]', 'times echo', 'resident [MB]')
 

@@ -9,12 +9,11 @@ from std_msgs.msg import Header
 
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.nodes.demo import xyxy_of
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.parameter_file import yaml_text
-from obbhbb_ros.study.rules import convert_by_class
-from obbhbb_ros.study.ships import Ships
 
 RULE = HullRule('superellipse', 3.5058, 1.0037, 0.995)
 OWN = {
@@ -32,7 +31,9 @@ def test_a_calibrated_node_gives_the_boxes_of_the_study(start, own, tmp_path) ->
     node = start(arguments=['--params-file', str(path)])
     node.connect()
     boxes = xyxy_of(node.convert(detections_message(labels, Header(frame_id='camera'))))
-    expected = convert_by_class(Ships.from_labels([labels]), RULE, own)
+    rules = [own.get(class_id, RULE) for class_id in labels.class_ids]
+    oriented = OrientedBoxes.from_corners(labels.corners)
+    expected = [convert_by_rule(oriented, rule)[row] for row, rule in enumerate(rules)]
     np.testing.assert_allclose(boxes, expected, rtol=0, atol=1e-9)
 
 

@@ -25,7 +25,7 @@ from crashes import Crashing
 from harness import Site
 from harness import site_at
 
-from obbhbb_ros.study.tables import text_table
+from obbhbb_ros.text_tables import text_table
 
 HEAD = ('end of the last run', 'crashes', 'until it ended [s]', 'then median [s]', 'then max [s]')
 

@@ -4,6 +4,7 @@
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / 'benchmarks'))
@@ -75,3 +76,12 @@ def test_the_table_has_a_row_for_each_strategy_and_each_bound(outcome: Outcome) 
 def test_contacts_that_do_not_fit_into_the_day_are_refused() -> None:
     with pytest.raises(ValueError, match='100 frames are too few, at least 128'):
         Day(frames=100)
+
+
+def test_a_strategy_that_delivers_nothing_is_drawn_all_the_same(tmp_path) -> None:
+    delivery = pytest.importorskip('delivery')
+    curves = {'all': (np.array([1.0, 2.0]), np.array([3.0, 4.0])), 'none': (np.empty(0),) * 2}
+    figure = delivery.delivery_figure(curves, 8.0, [(1.0, 2.5)], 6.0, 'synthetic')
+    figure.savefig(tmp_path / 'passes.png')
+    lines = figure.axes[0].get_lines()
+    assert [line.get_ydata()[-1] for line in lines] == [8.0, 7.0, 0.0]

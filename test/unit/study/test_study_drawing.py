@@ -39,14 +39,6 @@ def test_a_scene_is_drawn_with_and_without_hulls(tmp_path) -> None:
         assert (tmp_path / 'scene.png').read_bytes().startswith(b'\x89PNG')
 
 
-def test_a_strategy_that_delivers_nothing_is_drawn_all_the_same(tmp_path) -> None:
-    curves = {'all': (np.array([1.0, 2.0]), np.array([3.0, 4.0])), 'none': (np.empty(0),) * 2}
-    figure = drawing.delivery_figure(curves, 8.0, [(1.0, 2.5)], 6.0, 'synthetic')
-    drawing.save(figure, tmp_path / 'passes.png')
-    lines = figure.axes[0].get_lines()
-    assert [line.get_ydata()[-1] for line in lines] == [8.0, 7.0, 0.0]
-
-
 def test_what_computes_does_not_draw() -> None:
     program = (
         'import sys, obbhbb_ros.commands;'

@@ -13,7 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import convert_by_rule
+from obbhbb_ros.geometry.converter import to_xyxy
 from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.study.evaluation import ALL
 from obbhbb_ros.study.evaluation import FIGURES
@@ -29,7 +31,6 @@ from obbhbb_ros.study.evaluation import write_json
 from obbhbb_ros.study.metrics import hull_share
 from obbhbb_ros.study.metrics import outlines
 from obbhbb_ros.study.rules import choose_rules
-from obbhbb_ros.study.rules import convert_by_class
 from obbhbb_ros.study.ships import read_ships
 from obbhbb_ros.study.tables import offset_notes
 from obbhbb_ros.study.tables import score_tables
@@ -174,7 +175,8 @@ def test_images_are_drawn_as_a_whole() -> None:
 def test_each_class_is_converted_under_its_own_rule() -> None:
     ships = fleet([[4, 4, 9, 3, 0.4]] * 2, classes=['tug', 'ship'])
     tug, other = HullRule('superellipse', 5.0), HullRule('outer')
-    xyxy = convert_by_class(ships, other, {'tug': tug})
+    rule_of = ships.class_index(['tug', 'ship'])
+    xyxy = to_xyxy(*centers_and_extents(ships.boxes, [tug, other], rule_of))
     np.testing.assert_array_equal(xyxy[:1], convert_by_rule(ships.boxes, tug)[:1])
     np.testing.assert_array_equal(xyxy[1:], convert_by_rule(ships.boxes, other)[1:])
 

@@ -21,72 +21,80 @@ def make(image: str, *xyxy: tuple[float, ...]) -> ImageLabels:
     return labels(image, xyxy, np.array(xyxy, float))
 
 
+def unmatched(images: tuple[ImageLabels, ...]) -> list[tuple[str, int]]:
+    """List the boxes without a reference, by image and row."""
+    return [
+        (image.image, row)
+        for image in images
+        for row, reference in enumerate(image.reference)
+        if np.isnan(reference).any()
+    ]
+
+
 def test_boxes_take_the_reference_of_the_same_image() -> None:
     boxes = [make('b', (0, 0, 10, 4)), make('a', (0, 0, 10, 4), (20, 0, 30, 4))]
     references = [
         make('train/a.png', (20, 0, 30, 5), (1, 0, 10, 4)),
         make('b.JPG', (0, 0, 9, 4)),
     ]
-    matching = match_references(boxes, references)
-    assert [each.image for each in matching.images] == ['b', 'a']
-    assert matching.images[0].reference.tolist() == [[0, 0, 9, 4]]
-    assert matching.images[1].reference.tolist() == [[1, 0, 10, 4], [20, 0, 30, 5]]
-    assert matching.matched == 3
-    assert matching.unmatched_boxes == matching.unmatched_references == ()
+    matched = match_references(boxes, references)
+    assert [each.image for each in matched] == ['b', 'a']
+    assert matched[0].reference.tolist() == [[0, 0, 9, 4]]
+    assert matched[1].reference.tolist() == [[1, 0, 10, 4], [20, 0, 30, 5]]
+    assert unmatched(matched) == []
 
 
-def test_what_finds_no_partner_is_returned() -> None:
+def test_boxes_and_references_without_a_partner_stay_alone() -> None:
     boxes = [make('a', (0, 0, 10, 4), (50, 50, 60, 60)), make('lone', (0, 0, 1, 1))]
     references = [make('a', (0, 0, 10, 4), (90, 90, 99, 99)), make('c', (1, 1, 2, 2))]
-    matching = match_references(boxes, references)
-    assert matching.matched == 1
-    assert np.isnan(matching.images[0].reference).tolist() == [[False] * 4, [True] * 4]
-    assert matching.unmatched_boxes == (('a', 1), ('lone', 0))
-    assert [(name, box.tolist()) for name, box in matching.unmatched_references] == [
-        ('a', [90, 90, 99, 99]), ('c', [1, 1, 2, 2]),
-    ]  # fmt: skip
+    matched = match_references(boxes, references)
+    assert matched[0].reference[0].tolist() == [0, 0, 10, 4]
+    assert np.isnan(matched[0].reference).tolist() == [[False] * 4, [True] * 4]
+    assert unmatched(matched) == [('a', 1), ('lone', 0)]
 
 
 def test_the_best_pair_is_matched_first() -> None:
     boxes = [make('a', (0, 0, 10, 10), (2, 0, 12, 10))]
-    matching = match_references(boxes, [make('a', (2, 0, 12, 10))])
-    assert np.isnan(matching.images[0].reference[:, 0]).tolist() == [True, False]
+    matched = match_references(boxes, [make('a', (2, 0, 12, 10))])
+    assert np.isnan(matched[0].reference[:, 0]).tolist() == [True, False]
 
 
 def test_at_equal_overlap_the_earlier_goes_first() -> None:
     boxes = [make('a', (0, 0, 10, 10), (0, 0, 10, 10))]
     references = [make('a', (0, 0, 10, 9), (0, 1, 10, 10))]
-    matching = match_references(boxes, references)
-    assert matching.images[0].reference.tolist() == [[0, 0, 10, 9], [0, 1, 10, 10]]
+    matched = match_references(boxes, references)
+    assert matched[0].reference.tolist() == [[0, 0, 10, 9], [0, 1, 10, 10]]
 
 
-@pytest.mark.parametrize(('min_iou', 'matched'), [(0.5, 1), (0.51, 0)])
-def test_pairs_below_the_least_iou_are_none(min_iou: float, matched: int) -> None:
+@pytest.mark.parametrize(('min_iou', 'left'), [(0.5, []), (0.51, [('a', 0)])])
+def test_pairs_below_the_minimum_iou_do_not_match(
+    min_iou: float, left: list[tuple[str, int]]
+) -> None:
     boxes, references = [make('a', (0, 0, 10, 4))], [make('a', (0, 0, 5, 4))]
-    assert match_references(boxes, references, min_iou).matched == matched
+    assert unmatched(match_references(boxes, references, min_iou)) == left
 
 
 def test_a_tilted_box_is_compared_by_its_bounds() -> None:
     tilted = np.array([[[0.0, 5.0], [5.0, 0.0], [10.0, 5.0], [5.0, 10.0]]])
     boxes = [replace(make('a', (0, 0, 10, 10)), corners=tilted)]
-    matching = match_references(boxes, [make('a', (0, 0, 10, 10))], 1.0)
-    assert matching.matched == 1
+    matched = match_references(boxes, [make('a', (0, 0, 10, 10))], 1.0)
+    assert unmatched(matched) == []
 
 
 def test_a_source_may_name_an_image_more_than_once() -> None:
     boxes = [make('a', (0, 0, 10, 4)), make('a', (0, 0, 10, 4))]
-    matching = match_references(boxes, [make('a', (0, 0, 10, 4))])
-    assert matching.matched == 1
-    assert matching.unmatched_boxes == (('a', 0),)
+    matched = match_references(boxes, [make('a', (0, 0, 10, 4))])
+    assert matched[0].reference.tolist() == [[0, 0, 10, 4]]
+    assert unmatched(matched) == [('a', 0)]
 
 
 def test_references_that_are_not_there_match_nothing() -> None:
     bare = labels('a', (0, 0, 10, 4))
-    matching = match_references([make('a', (0, 0, 10, 4))], [bare])
-    assert (matching.matched, matching.unmatched_references) == (0, ())
+    matched = match_references([make('a', (0, 0, 10, 4))], [bare])
+    assert unmatched(matched) == [('a', 0)]
     broken = labels('a', (np.nan,) * 4)
-    assert match_references([broken], [make('a', (0, 0, 1, 1))]).matched == 0
-    assert match_references([], []).images == ()
+    assert unmatched(match_references([broken], [make('a', (0, 0, 1, 1))])) == [('a', 0)]
+    assert match_references([], []) == ()
 
 
 def test_images_of_one_bare_name_are_refused() -> None:
