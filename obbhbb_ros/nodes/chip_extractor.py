@@ -5,14 +5,16 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections import OrderedDict
 from collections import deque
+from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
+from typing import TypeVar
 
 from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
@@ -28,11 +30,13 @@ from obbhbb_ros.downlink.chips import Region
 from obbhbb_ros.downlink.chips import chips_of
 from obbhbb_ros.downlink.chips import pixel_format
 from obbhbb_ros.downlink.chips import view_of
-from obbhbb_ros.downlink.pairing import Pairing
-from obbhbb_ros.downlink.pairing import Unpaired
+from obbhbb_ros.downlink.joiner import JoinerSide
+from obbhbb_ros.downlink.joiner import PairJoiner
+from obbhbb_ros.downlink.joiner import PairLimits
+from obbhbb_ros.downlink.joiner import StampCache
+from obbhbb_ros.downlink.joiner import Unpaired
 from obbhbb_ros.downlink.records import Recorder
 from obbhbb_ros.downlink.stamps import ChipStamps
-from obbhbb_ros.downlink.stamps import Stamp
 from obbhbb_ros.nodes.camera import Camera
 from obbhbb_ros.nodes.chip_topics import ChipTopics
 from obbhbb_ros.nodes.managed import ManagedNode
@@ -52,9 +56,11 @@ from obbhbb_ros.wire.image import read_image
 from obbhbb_ros.wire.plans import Source
 from obbhbb_ros.wire.plans import WirePlan
 from obbhbb_ros.wire.plans import read_sources
+from obbhbb_ros.wire.stamp import Stamp
+from obbhbb_ros.wire.stamp import stamp_text
 
-_IMAGE, _REGIONS = 0, 1
-_KINDS = ('images', 'crop_plans')
+Item = TypeVar('Item')
+
 _REMEDIES = {
     Unpaired.EXPIRED: 'no image of its stamp came within cache.max_age',
     Unpaired.CROWDED_OUT: 'more than cache.regions wait for their images',
@@ -108,7 +114,13 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             ('images_received', 'chips_sent', 'bytes_sent'),
             **kwargs,
         )
-        self._pairing = Pairing(self._let_go, self._ran_back)
+        self._images = JoinerSide[WireImage](
+            self._on_image_dropped, partial(self._warn_of_jump_back, 'images')
+        )
+        self._plans = JoinerSide[PlannedFrame](
+            self._on_plan_dropped, partial(self._warn_of_jump_back, 'crop_plans')
+        )
+        self._joiner = PairJoiner(self._images, self._plans)
         self._budget = self._parameters_in_force.settings.budget
         # The link does not forget what was sent because the node was switched off and on.
         self._bucket = TokenBucket(self._budget, time.monotonic())
@@ -123,7 +135,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
         self._topics = ChipTopics(self._output, self._stamps)
         self._camera = Camera()
-        self._sources: OrderedDict[Stamp, list[Source]] = OrderedDict()
+        self._sources = StampCache[list[Source]]()
         # Before the images and plans that they belong to.
         self._camera_in = self._input(CameraInfo, 'camera_info', self._on_camera_info)
         path = self._parameters_in_force.settings.spool_path
@@ -146,7 +158,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
     def _forget(self) -> None:
         """Drop the images and plans that wait for each other."""
-        self._pairing.clear()
+        self._joiner.clear()
 
     def _release(self) -> None:
         """Destroy topics and close the spool."""
@@ -158,11 +170,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     def _facts(self) -> dict[str, str]:
         """Report what is waiting, the bytes that the link has left, and the books of the spool."""
         settings = self._settings()
-        self._pairing.expire(time.monotonic(), settings.pairing)
-        waiting = self._pairing.waiting(_REGIONS)
+        self._joiner.expire(time.monotonic(), settings.pairing)
         facts = {
-            'chips_waiting': str(sum(map(len, waiting))),
-            'images_waiting': str(len(self._pairing.waiting(_IMAGE))),
+            'chips_waiting': str(sum(map(len, self._plans.waiting))),
+            'images_waiting': str(len(self._images.waiting)),
             'budget_available': f'{self._bucket.available(time.monotonic()):.0f}',
         }
         if self._spool is not None:
@@ -195,9 +206,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         except WireError as error:
             self._drop_unreadable(data, self._sources_in, error)
             return
-        self._sources[stamp] = sources
-        while len(self._sources) > PLANS_KEPT:
-            self._sources.popitem(last=False)
+        self._sources.put(stamp, sources, time.monotonic())
+        self._sources.shrink(PLANS_KEPT)
 
     def _on_image(self, data: bytes) -> None:
         """Keep an image for its regions, or cut it if they are there."""
@@ -210,7 +220,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         except WireError as error:
             self._drop_unreadable(data, self._images_in, error)
             return
-        self._pair(_IMAGE, image.stamp, image)
+        self._pair(self._joiner.add_image, image.stamp, image)
 
     def _on_regions(self, data: bytes) -> None:
         """Keep regions for their image, or cut them if it is there."""
@@ -225,42 +235,55 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             return
         self._monitor.add('chips_planned', len(plan))
         frame = self._spool.plan(len(plan)) if self._spool is not None and len(plan) else None
-        self._pair(_REGIONS, plan.stamp, PlannedFrame(plan, frame))
+        self._pair(self._joiner.add_plan, plan.stamp, PlannedFrame(plan, frame))
 
-    def _pair(self, kind: int, stamp: Stamp, item: Any) -> None:
-        """Find the partner of a message; cut the frame that the two make."""
+    def _pair(
+        self,
+        add: Callable[[Stamp, Item, float, PairLimits], tuple[WireImage, PlannedFrame] | None],
+        stamp: Stamp,
+        item: Item,
+    ) -> None:
+        """Add an image or a plan to the joiner, and cut the frame that it completes."""
         started = time.perf_counter()
         settings = self._settings()
-        pair = self._pairing.add(kind, stamp, item, time.monotonic(), settings.pairing)
+        pair = add(stamp, item, time.monotonic(), settings.pairing)
         if pair is not None:
             self._cut(*pair, settings)
             self._monitor.took(time.perf_counter() - started)
 
-    def _let_go(self, kind: int, reason: Unpaired, item: Any) -> None:
-        """Count what found no partner."""
-        self._monitor.add(f'{_KINDS[kind]}_dropped.{reason.value}')
-        if kind == _REGIONS:
-            self._drop(f'crop_plan_{reason.value}', len(item))
-            self._store(item, [], {f'crop_plan_{reason.value}': len(item)})
-        # An image without a plan is no loss: a detector may look at every third one only.
-        if reason in _MISTAKES or (kind == _REGIONS and len(item) and reason in _REMEDIES):
-            self._warn(
-                f'{_KINDS[kind]} {reason.value}',
-                f'dropped a message on {self._topic(kind)}: {_REMEDIES[reason]}',
-            )
+    def _on_image_dropped(self, reason: Unpaired, _: WireImage) -> None:
+        """Count an image without a plan; that is no loss: detectors may skip images."""
+        self._monitor.add(f'images_dropped.{reason.value}')
+        if reason in _MISTAKES:
+            self._warn_of_unpaired('images', reason)
 
-    def _ran_back(self, kind: int, latest: Stamp, stamp: Stamp) -> None:
-        """Count and tell that time has begun again."""
-        self._monitor.add('stamps_ran_back')
+    def _on_plan_dropped(self, reason: Unpaired, planned: PlannedFrame) -> None:
+        """Count a plan without an image, and its chips."""
+        self._monitor.add(f'crop_plans_dropped.{reason.value}')
+        self._drop(f'crop_plan_{reason.value}', len(planned))
+        self._store(planned, [], {f'crop_plan_{reason.value}': len(planned)})
+        if reason in _MISTAKES or (len(planned) and reason in _REMEDIES):
+            self._warn_of_unpaired('crop_plans', reason)
+
+    def _warn_of_unpaired(self, kind: str, reason: Unpaired) -> None:
+        """Report a message that met no partner."""
         self._warn(
-            f'{_KINDS[kind]} ran back',
-            f'stamps on {self._topic(kind)} ran back from {_seconds(latest)} to {_seconds(stamp)}: '
-            'a bag that loops, a clock that was set back, or two publishers',
+            f'{kind} {reason.value}',
+            f'dropped a message on {self._topic(kind)}: {_REMEDIES[reason]}',
         )
 
-    def _topic(self, kind: int) -> str:
-        """Name the topic of a kind."""
-        subscription = self._images_in if kind == _IMAGE else self._regions_in
+    def _warn_of_jump_back(self, kind: str, latest: Stamp, stamp: Stamp) -> None:
+        """Count and report that stamps start again."""
+        self._monitor.add('stamps_ran_back')
+        self._warn(
+            f'{kind} ran back',
+            f'stamps on {self._topic(kind)} went backwards from {stamp_text(latest)} to '
+            f'{stamp_text(stamp)}: a bag that loops, a clock that was set back, or two publishers',
+        )
+
+    def _topic(self, kind: str) -> str:
+        """Name the topic of images or crop plans."""
+        subscription = self._images_in if kind == 'images' else self._regions_in
         name: str = subscription.topic_name
         return name
 
@@ -334,7 +357,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
     def _sources_of(self, plan: WirePlan) -> list[Source]:
         """Take the sources of the regions of a plan; none if they are not for this plan."""
-        sources = self._sources.pop(plan.stamp, [])
+        sources = self._sources.pop(plan.stamp) or []
         if plan.has_sources(sources):
             return sources
         self._monitor.add('plans_without_sources')
@@ -342,7 +365,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._warn(
                 'no sources',
                 f'no sources on {self._sources_in.topic_name} for the plan at stamp '
-                f'{_seconds(plan.stamp)}: scores are taken as values',
+                f'{stamp_text(plan.stamp)}: scores are taken as values',
             )
         return []
 
@@ -389,7 +412,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             if count and reason in _LOST_FOR_GOOD:
                 self._warn(
                     reason,
-                    f'dropped {count} of {len(planned)} chips at stamp {_seconds(image.stamp)}: '
+                    f'dropped {count} of {len(planned)} chips at stamp {stamp_text(image.stamp)}: '
                     f'{_LOST_FOR_GOOD[reason]}',
                 )
 
@@ -415,7 +438,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._warn(
             'image refused',
             f'no chips of the image on {self._images_in.topic_name} at stamp '
-            f'{_seconds(image.stamp)}: {error}',
+            f'{stamp_text(image.stamp)}: {error}',
         )
 
     def _warn_of_failure(
@@ -426,16 +449,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._warn(
             'encoder failure',
             f'{settings.codec.codec} cannot hold the chip of {x1 - x0} x {y1 - y0} pixels at '
-            f'({x0}, {y0}), stamp {_seconds(image.stamp)}: {error}; see crop.max_size',
+            f'({x0}, {y0}), stamp {stamp_text(image.stamp)}: {error}; see crop.max_size',
         )
 
     def _warn_of_spool(self, text: str) -> None:
         """Report trouble with the spool."""
         self._monitor.add('spool_troubles')
         self._warn(kind_of(text), f'spool: {text}')
-
-
-def _seconds(stamp: Stamp) -> str:
-    """Write a stamp as a number."""
-    seconds, nanoseconds = stamp
-    return f'{seconds}.{nanoseconds:09d}'

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The overlay node: an image and what was found in it in, a picture and markers of both out."""
+"""The overlay node: draws detections, boxes and crop regions over their image."""
 
 from __future__ import annotations
 
 import time
 from array import array
+from collections.abc import Callable
 from collections.abc import Mapping
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
+from typing import TypeVar
 
 from builtin_interfaces.msg import Time
 from rclpy.qos import ReliabilityPolicy
@@ -19,10 +21,10 @@ from vision_msgs.msg import Detection2DArray
 from visualization_msgs.msg import ImageMarker
 
 from obbhbb_ros.colors import LAYER_COLORS
+from obbhbb_ros.downlink.joiner import ZERO_STAMP
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.managed import message_type
-from obbhbb_ros.overlay.collector import IMAGE
-from obbhbb_ros.overlay.collector import FrameCollector
+from obbhbb_ros.overlay.collector import LayerCollector
 from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.overlay.drawing import OverlayError
 from obbhbb_ros.overlay.frame import OverlayFrame
@@ -32,10 +34,16 @@ from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.overlay import OverlaySettings
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.detections import Detections
+from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image import read_image
 from obbhbb_ros.wire.layouts import INPUT_TYPES
+from obbhbb_ros.wire.stamp import Stamp
+from obbhbb_ros.wire.stamp import stamp_text
 
-# How late a frame that misses a layer may be drawn, seconds.
+Item = TypeVar('Item', WireImage, Detections)
+
+_IMAGE = 'image'
+# Seconds by which an image that misses a layer may be drawn late.
 _TICK = 0.1
 # As `image_transport` writes it.
 _FORMAT = 'rgb8; jpeg compressed bgr8'
@@ -45,8 +53,8 @@ class Overlay(ManagedNode[OverlaySettings]):
     """
     Managed node `overlay`.
 
-    While somebody subscribes to what it publishes, it subscribes to `image`, `detections`, `boxes`
-    and `crop_regions`. It publishes `overlay/compressed`, `overlay/markers` and `/diagnostics`.
+    It subscribes to `image`, `detections`, `boxes` and `crop_regions` while it has subscribers, and
+    publishes `overlay/compressed`, `overlay/markers` and `/diagnostics`.
     Topics and parameters: `doc/overlay.md`.
 
     Parameters
@@ -66,18 +74,17 @@ class Overlay(ManagedNode[OverlaySettings]):
         super().__init__(
             'overlay', OVERLAY, ('images_received', 'pictures_sent', 'bytes_sent'), **kwargs
         )
-        self._frames = FrameCollector(self._count_not_drawn)
+        self._collector = LayerCollector[WireImage, Detections](self._count_not_drawn)
         self._subscriptions_by_kind: dict[str, Any] = {}
         self._ticks: Any = None
         self._autostart()
 
     def _create_topics(self) -> None:
-        """Create publishers; subscriptions come with the first one who looks."""
-        # Found out here rather than at the first picture.
+        """Create the publishers; the first subscriber brings the subscriptions."""
+        # If Pillow is missing, fail here and not at the first picture.
         import PIL.ImageDraw  # noqa: F401
 
         self._input_type = INPUT_TYPES[self.get_parameter('input_type').value]
-        self._message_type = message_type(self._input_type)
         self._pictures = self._output(
             CompressedImage, 'overlay/compressed', on_matched=self._follow_viewers
         )
@@ -93,27 +100,28 @@ class Overlay(ManagedNode[OverlaySettings]):
         }
 
     def _late_topics(self) -> Sequence[str]:
-        """List the inputs, which are subscribed to when somebody looks."""
+        """List the inputs, to which the node subscribes only while it has subscribers."""
         return [self.resolve_topic_name(topic) for _, _, topic, _, _ in self._layout_of_inputs()]
 
     def _layout_of_inputs(self) -> Sequence[tuple[str, Any, str, ReliabilityPolicy, int]]:
         """List kind, type, topic, reliability and depth of each input."""
+        detections = message_type(self._input_type)
         reliable, any_reliability = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
-        # As in the other nodes: a detector may publish as it likes, and what must not be lost
-        # beside the many pieces of a large image is asked for reliably.
+        # As in the other nodes: a detector may publish with any reliability; everything else is
+        # reliable, because the many pieces of a large image push small messages out of buffers.
         return (
-            (IMAGE, Image, 'image', reliable, IMAGES_KEPT),
-            ('detections', self._message_type, self._input_type.topic, any_reliability, PLANS_KEPT),
+            (_IMAGE, Image, 'image', reliable, IMAGES_KEPT),
+            ('detections', detections, self._input_type.topic, any_reliability, PLANS_KEPT),
             ('boxes', Detection2DArray, 'boxes', reliable, PLANS_KEPT),
             ('crop_regions', Detection2DArray, 'crop_regions', reliable, PLANS_KEPT),
         )
 
     def _forget(self) -> None:
-        """Drop the frames that wait for their parts."""
-        self._frames.clear()
+        """Drop the images and layers that wait for each other."""
+        self._collector.clear()
 
     def _release_inputs(self) -> None:
-        """Unsubscribe from everything, and stop the clock of the waiting frames."""
+        """Unsubscribe from everything, and stop the timer of the waiting images."""
         super()._release_inputs()
         self._subscriptions_by_kind = {}
         if self._ticks is not None:
@@ -121,20 +129,20 @@ class Overlay(ManagedNode[OverlaySettings]):
             self._ticks = None
 
     def _facts(self) -> dict[str, str]:
-        """Report what is waiting, and whether anybody looks."""
+        """Report what is waiting, and whether the node has subscribers."""
         return {
-            'frames_waiting': str(len(self._frames)),
+            'frames_waiting': str(len(self._collector)),
             'watched': str(bool(self._inputs)).lower(),
         }
 
     def _silent_for(self, values: Mapping[str, Any]) -> float:
-        """Expect no input while nobody looks."""
+        """Expect no input while the node has no subscribers."""
         if not self._inputs:
             self._monitor.expect_input()
         return super()._silent_for(values)
 
     def _follow_viewers(self, _: object) -> None:
-        """Subscribe to the input while somebody looks, so that it costs nothing otherwise."""
+        """Subscribe to the input only while the node has subscribers."""
         watched = any(map(_wanted, self._outputs))
         if watched and not self._inputs:
             self._subscribe()
@@ -145,64 +153,82 @@ class Overlay(ManagedNode[OverlaySettings]):
     def _subscribe(self) -> None:
         """Create the subscriptions."""
         self._subscriptions_by_kind = {
-            kind: self._input(type_, topic, partial(self._on_message, kind), reliability, depth)
+            kind: self._input(type_, topic, self._handler(kind), reliability, depth)
             for kind, type_, topic, reliability, depth in self._layout_of_inputs()
         }
         self._ticks = self._every(_TICK, self._draw_what_is_ready)
 
-    def _on_message(self, kind: str, data: bytes) -> None:
-        """Keep a part of a frame, and draw what is complete by it."""
-        self._monitor.add('images_received' if kind == IMAGE else f'layers_received.{kind}')
+    def _handler(self, kind: str) -> Callable[[bytes], None]:
+        """Return what is called with each message of a kind."""
+        return self._on_image if kind == _IMAGE else partial(self._on_layer, kind)
+
+    def _on_image(self, data: bytes) -> None:
+        """Keep an image for its layers."""
+        self._monitor.add('images_received')
+        self._collect(_IMAGE, data, read_image, self._collector.add_image)
+
+    def _on_layer(self, layer: str, data: bytes) -> None:
+        """Keep a layer for its image, if it is drawn."""
+        self._monitor.add(f'layers_received.{layer}')
+        if self._active and layer not in self._parameters_in_force.settings.colors:
+            return
+        read = (
+            partial(Detections, input_type=self._input_type)
+            if layer == 'detections'
+            else Detections
+        )
+        self._collect(layer, data, read, partial(self._collector.add_layer, layer))
+
+    def _collect(
+        self,
+        kind: str,
+        data: bytes,
+        read: Callable[[bytes], Item],
+        add: Callable[[Stamp, Item, float], bool],
+    ) -> None:
+        """Read a message and add it to the collector, and draw what it makes ready."""
         if not self._active:
             self._monitor.add('messages_while_inactive')
             return
-        if kind != IMAGE and kind not in self._parameters_in_force.settings.colors:
-            return
+        subscription = self._subscriptions_by_kind[kind]
         try:
-            item = self._read(kind, data)
+            item = read(data)
         except WireError as error:
-            self._drop_unreadable(data, self._subscriptions_by_kind[kind], error)
+            self._drop_unreadable(data, subscription, error)
             return
-        if item.stamp == (0, 0):
+        if item.stamp == ZERO_STAMP:
             self._monitor.add('messages_without_stamp')
             self._warn(
                 f'{kind} without stamp',
-                f'dropped a message on {self._subscriptions_by_kind[kind].topic_name}: its stamp '
-                'is zero',
+                f'dropped a message on {subscription.topic_name}: its stamp is zero',
             )
             return
-        if not self._frames.add(kind, item.stamp, item, time.monotonic()):
+        if not add(item.stamp, item, time.monotonic()):
             self._monitor.add('messages_repeated')
         self._draw_what_is_ready()
 
-    def _read(self, kind: str, data: bytes) -> Any:
-        """Read a message."""
-        if kind == IMAGE:
-            return read_image(data)
-        return Detections(data, self._input_type) if kind == 'detections' else Detections(data)
-
     def _draw_what_is_ready(self) -> None:
-        """Draw the frames that are complete, or have waited long enough."""
+        """Draw the images that are complete, or have waited long enough."""
         settings = self._parameters_in_force.settings
         awaited = {
             layer
             for layer in settings.colors
             if self._subscriptions_by_kind[layer].get_publisher_count()
         }
-        for parts in self._frames.ready(awaited, time.monotonic(), settings.limits):
+        for image, layers in self._collector.ready(awaited, time.monotonic(), settings.limits):
             started = time.perf_counter()
-            self._draw(OverlayFrame(parts, settings), settings, awaited)
+            self._draw(OverlayFrame(image, layers, settings), settings, awaited)
             self._monitor.took(time.perf_counter() - started)
 
     def _draw(self, frame: OverlayFrame, settings: OverlaySettings, awaited: set[str]) -> None:
-        """Publish one frame as far as somebody looks."""
+        """Publish the markers and the picture of an image that have a subscriber."""
         self._monitor.add('frames_drawn')
         self._monitor.add('boxes_not_drawn', frame.boxes_not_drawn)
         self._report_missing(frame, awaited)
         for layer in settings.colors:
-            wanting = [p for p in (self._markers, self._markers_of[layer]) if _wanted(p)]
-            marker = frame.marker(layer) if wanting else b''
-            for publisher in wanting:
+            publishers = [p for p in (self._markers, self._markers_of[layer]) if _wanted(p)]
+            marker = frame.marker(layer) if publishers else b''
+            for publisher in publishers:
                 publisher.publish(marker)
                 self._monitor.add('markers_sent')
         if _wanted(self._pictures):
@@ -211,17 +237,17 @@ class Overlay(ManagedNode[OverlaySettings]):
     def _send_picture(self, frame: OverlayFrame) -> None:
         """Publish the picture of a frame."""
         image = frame.image
-        seconds, nanoseconds = image.stamp
         try:
             picture = frame.picture()
         except (OverlayError, MemoryError) as error:
             self._monitor.add('images_refused')
             self._warn(
                 'image refused',
-                f'no picture of the image on {self._subscriptions_by_kind[IMAGE].topic_name} at '
-                f'stamp {seconds}.{nanoseconds:09d}: {error}',
+                f'no picture of the image on {self._subscriptions_by_kind[_IMAGE].topic_name} at '
+                f'stamp {stamp_text(image.stamp)}: {error}',
             )
             return
+        seconds, nanoseconds = image.stamp
         header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=image.frame_id)
         self._pictures.publish(
             CompressedImage(header=header, format=_FORMAT, data=array('B', picture.data))
@@ -231,20 +257,19 @@ class Overlay(ManagedNode[OverlaySettings]):
         self._monitor.add('labels_left_out', picture.labels_left_out)
 
     def _report_missing(self, frame: OverlayFrame, awaited: set[str]) -> None:
-        """Count the layers that did not come though somebody publishes them."""
+        """Count the layers that did not come although they have a publisher."""
         missing = [layer for layer in frame.missing if layer in awaited]
         for layer in missing:
             self._monitor.add(f'layers_missing.{layer}')
         if missing:
-            seconds, nanoseconds = frame.image.stamp
             self._warn(
                 'layers missing',
-                f'drew the image at stamp {seconds}.{nanoseconds:09d} without '
+                f'drew the image at stamp {stamp_text(frame.image.stamp)} without '
                 f'{", ".join(missing)}: none of its stamp came within max_wait',
             )
 
     def _count_not_drawn(self, reason: NotDrawn) -> None:
-        """Count a frame that is not drawn."""
+        """Count an image that is not drawn."""
         self._monitor.add(f'frames_dropped.{reason.value}')
 
 

@@ -1,26 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Collects what belongs to one image by exact stamp, in bounded memory and in any order."""
+"""Joins images with their layers by exact stamp, in bounded memory and in any order of arrival."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
+from collections.abc import Iterable
 from collections.abc import Set
 from dataclasses import dataclass
 from dataclasses import field
 from enum import Enum
-from typing import Any
+from typing import Generic
+from typing import TypeVar
 
-from obbhbb_ros.downlink.stamps import Stamp
+from obbhbb_ros.downlink.joiner import StampCache
+from obbhbb_ros.wire.stamp import Stamp
 
-IMAGE = 'image'
-"""The part without which nothing can be drawn."""
+ImageT = TypeVar('ImageT')
+LayerT = TypeVar('LayerT')
 
-_FRAMES_KEPT = 1000
+_MAX_STAMPS = 1000
 
 
 class NotDrawn(str, Enum):
-    """Why a frame was discarded."""
+    """Why an image or its layers were dropped."""
 
     NO_IMAGE = 'no_image'
     OVERTAKEN = 'overtaken'
@@ -31,16 +33,16 @@ class NotDrawn(str, Enum):
 @dataclass(frozen=True)
 class CollectorLimits:
     """
-    How long parts wait for each other.
+    How long an image and its layers wait for each other.
 
     Attributes
     ----------
     max_wait : float
-        How long an image waits for other parts, seconds from its arrival.
+        Maximum time that an image waits for its layers, seconds from its arrival.
     max_age : float
-        How long other parts wait for their image, seconds from the arrival of the first.
+        Maximum time that layers wait for their image, seconds from the arrival of the first.
     images : int
-        How many images may wait.
+        Maximum number of images that wait.
     """
 
     max_wait: float
@@ -49,100 +51,137 @@ class CollectorLimits:
 
 
 @dataclass
-class _Frame:
-    """The parts of one stamp so far; when the image, or before it the first part, came."""
+class ImageParts(Generic[ImageT, LayerT]):
+    """
+    An image and its layers by name, as far as they have arrived.
+
+    Attributes
+    ----------
+    since : float
+        When the image arrived, or the first layer while there is no image.
+    number : int
+        Images are numbered in the order of arrival, from 1.
+    """
 
     since: float
+    image: ImageT | None = None
     number: int = 0
-    parts: dict[str, Any] = field(default_factory=dict)
+    layers: dict[str, LayerT] = field(default_factory=dict)
 
 
-class FrameCollector:
+class LayerCollector(Generic[ImageT, LayerT]):
     """
-    Frames that wait for their parts.
+    Images and layers that wait for each other.
 
-    A frame is ready once all the parts that are awaited are there, or some time after its image
-    came with those that are. One that is not complete by then is discarded if a frame whose image
-    came later was ready before: pictures do not go back in time. A large image takes a while to
-    arrive, so other parts may wait longer for it than it for them.
+    An image is ready once all awaited layers are there, or `max_wait` after its arrival. An
+    incomplete image is dropped if one that arrived later was ready before it: pictures do not go
+    back in time. Layers may wait longer than images, because a large image takes a while to
+    arrive.
+
+    This is a joiner of its own, not `obbhbb_ros.downlink.joiner.PairJoiner`: here a set of parts is
+    complete, expires and is dropped as one, there each message for itself. Both hold what waits in
+    a `StampCache`.
 
     Parameters
     ----------
-    on_discarded : callable
-        Called with the reason for each frame that is discarded.
+    on_dropped : callable
+        Called with the reason for each image or set of layers that is dropped.
 
     Examples
     --------
-    >>> frames = FrameCollector(on_discarded=print)
+    >>> collector = LayerCollector(on_dropped=print)
     >>> limits = CollectorLimits(max_wait=0.5, max_age=5.0, images=10)
-    >>> frames.add('boxes', (5, 0), 'some boxes', now=0.0)
+    >>> collector.add_layer('boxes', (5, 0), 'some boxes', now=0.0)
     True
-    >>> frames.add('image', (5, 0), 'pixels', now=0.1)
+    >>> collector.add_image((5, 0), 'pixels', now=0.1)
     True
-    >>> frames.ready({'boxes'}, now=0.1, limits=limits)
-    [{'boxes': 'some boxes', 'image': 'pixels'}]
+    >>> collector.ready({'boxes'}, now=0.1, limits=limits)
+    [('pixels', {'boxes': 'some boxes'})]
     """
 
-    def __init__(self, on_discarded: Callable[[NotDrawn], None]) -> None:
-        self._on_discarded = on_discarded
-        self._waiting: OrderedDict[Stamp, _Frame] = OrderedDict()
-        self._images = 0
-        self._latest_ready = 0
+    def __init__(self, on_dropped: Callable[[NotDrawn], None]) -> None:
+        self._on_dropped = on_dropped
+        self._waiting = StampCache[ImageParts[ImageT, LayerT]]()
+        self._last_number = 0
+        self._last_ready = 0
 
     def __len__(self) -> int:
-        """Count the frames that wait."""
+        """Count the stamps that wait."""
         return len(self._waiting)
 
-    def add(self, kind: str, stamp: Stamp, item: Any, now: float) -> bool:
+    def add_image(self, stamp: Stamp, image: ImageT, now: float) -> bool:
         """
-        Add a part at `now`, seconds of a monotonic clock.
+        Add an image at `now`, seconds of a monotonic clock.
 
-        Returns false if it takes the place of another of the same kind and stamp.
+        Returns false if it replaces another one of the same stamp.
         """
-        frame = self._waiting.get(stamp)
-        if frame is None:
-            frame = self._waiting[stamp] = _Frame(now)
-        is_new = kind not in frame.parts
-        if kind == IMAGE and is_new:
-            self._images += 1
-            frame.since, frame.number = now, self._images
-        frame.parts[kind] = item
+        parts = self._parts(stamp, now)
+        is_new = parts.image is None
+        if is_new:
+            self._last_number += 1
+            parts.since, parts.number = now, self._last_number
+        parts.image = image
         return is_new
 
-    def ready(self, awaited: Set[str], now: float, limits: CollectorLimits) -> list[dict[str, Any]]:
-        """List the parts of each frame that is ready, besides the image those of `awaited`."""
-        found = []
-        needed = awaited | {IMAGE}
-        for stamp, frame in list(self._waiting.items()):
-            complete = needed <= frame.parts.keys()
-            patience = limits.max_wait if IMAGE in frame.parts else limits.max_age
-            if not complete and now - frame.since < patience:
+    def add_layer(self, name: str, stamp: Stamp, layer: LayerT, now: float) -> bool:
+        """Add a layer, as `add_image` adds an image."""
+        parts = self._parts(stamp, now)
+        is_new = name not in parts.layers
+        parts.layers[name] = layer
+        return is_new
+
+    def ready(
+        self, awaited: Set[str], now: float, limits: CollectorLimits
+    ) -> list[tuple[ImageT, dict[str, LayerT]]]:
+        """
+        Remove and return the images that are ready, each with the layers that are there.
+
+        Parameters
+        ----------
+        awaited : set of str
+            Names of the layers without which an image is incomplete.
+        now : float
+            Seconds of a monotonic clock.
+        limits : CollectorLimits
+            How long to wait.
+        """
+        ready = []
+        for stamp, parts in self._waiting.items():
+            is_complete = parts.image is not None and awaited <= parts.layers.keys()
+            patience = limits.max_age if parts.image is None else limits.max_wait
+            if not is_complete and now - parts.since < patience:
                 continue
-            del self._waiting[stamp]
-            if IMAGE not in frame.parts:
-                self._on_discarded(NotDrawn.NO_IMAGE)
-            elif not complete and frame.number < self._latest_ready:
-                self._on_discarded(NotDrawn.OVERTAKEN)
+            self._waiting.pop(stamp)
+            if parts.image is None:
+                self._on_dropped(NotDrawn.NO_IMAGE)
+            elif not is_complete and parts.number < self._last_ready:
+                self._on_dropped(NotDrawn.OVERTAKEN)
             else:
-                self._latest_ready = max(self._latest_ready, frame.number)
-                found.append(frame.parts)
+                self._last_ready = max(self._last_ready, parts.number)
+                ready.append((parts.image, parts.layers))
         self._make_room(limits.images)
-        return found
+        return ready
 
     def clear(self) -> None:
-        """Discard everything."""
-        while self._waiting:
-            self._discard(next(iter(self._waiting)), NotDrawn.CLEARED)
+        """Drop everything."""
+        self._drop(NotDrawn.CLEARED, self._waiting.clear())
 
-    def _make_room(self, images: int) -> None:
-        """Discard the oldest frames, where there are too many."""
-        with_image = [stamp for stamp, frame in self._waiting.items() if IMAGE in frame.parts]
-        for stamp in with_image[: max(len(with_image) - images, 0)]:
-            self._discard(stamp, NotDrawn.CROWDED_OUT)
-        while len(self._waiting) > _FRAMES_KEPT:
-            self._discard(next(iter(self._waiting)), NotDrawn.CROWDED_OUT)
+    def _parts(self, stamp: Stamp, now: float) -> ImageParts[ImageT, LayerT]:
+        """Return the parts of a stamp."""
+        parts = self._waiting.get(stamp)
+        if parts is None:
+            parts = ImageParts(now)
+            self._waiting.put(stamp, parts, now)
+        return parts
 
-    def _discard(self, stamp: Stamp, reason: NotDrawn) -> None:
-        """Discard a frame."""
-        del self._waiting[stamp]
-        self._on_discarded(reason)
+    def _make_room(self, max_images: int) -> None:
+        """Drop the oldest images, and the oldest stamps, where there are too many."""
+        with_image = [s for s, parts in self._waiting.items() if parts.image is not None]
+        excess = with_image[: max(len(with_image) - max_images, 0)]
+        self._drop(NotDrawn.CROWDED_OUT, map(self._waiting.pop, excess))
+        self._drop(NotDrawn.CROWDED_OUT, self._waiting.shrink(_MAX_STAMPS))
+
+    def _drop(self, reason: NotDrawn, dropped: Iterable[object]) -> None:
+        """Report what was dropped."""
+        for _ in dropped:
+            self._on_dropped(reason)

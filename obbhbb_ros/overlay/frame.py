@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What becomes of the messages of one image: a picture and markers. No ROS in here.
+An image and its layers, as a picture and as markers. No ROS in here.
 
-    frame = OverlayFrame({'image': image, 'boxes': boxes}, settings)
+    frame = OverlayFrame(image, {'boxes': boxes}, settings)
     jpeg = frame.picture().data
 """
 
@@ -10,14 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.input_frame import InputFrame
-from obbhbb_ros.overlay.collector import IMAGE
 from obbhbb_ros.overlay.drawing import Labels
 from obbhbb_ros.overlay.drawing import Layer
 from obbhbb_ros.overlay.drawing import Picture
@@ -39,33 +37,32 @@ class OverlayFrame:
 
     Parameters
     ----------
-    parts : mapping of str to WireImage or Detections
-        The image as `IMAGE`, and the layers by their names in `LAYER_COLORS`.
-    settings : OverlaySettings
-        The settings.
-
-    Attributes
-    ----------
     image : WireImage
         The image.
+    layers : mapping of str to Detections
+        The layers that came with it, by their names in `LAYER_COLORS`.
+    settings : OverlaySettings
+        The settings.
     """
 
-    def __init__(self, parts: Mapping[str, Any], settings: OverlaySettings) -> None:
-        self.image: WireImage = parts[IMAGE]
+    def __init__(
+        self, image: WireImage, layers: Mapping[str, Detections], settings: OverlaySettings
+    ) -> None:
+        self.image = image
         self._settings = settings
-        self._layers: dict[str, Detections] = {
-            layer: parts[layer] for layer in settings.colors if layer in parts
-        }
+        self._layers = {layer: layers[layer] for layer in settings.colors if layer in layers}
 
     @property
     def missing(self) -> list[str]:
-        """List the layers that did not come."""
+        """The layers that did not come."""
         return [layer for layer in self._settings.colors if layer not in self._layers]
 
     @property
     def boxes_not_drawn(self) -> int:
-        """Count the boxes that are not finite, or empty."""
-        return sum(int(np.isnan(each).any(axis=(1, 2)).sum()) for each in self._corners.values())
+        """Number of boxes that are not finite, or empty."""
+        return sum(
+            int(np.isnan(corners).any(axis=(1, 2)).sum()) for corners in self._corners.values()
+        )
 
     def picture(self) -> Picture:
         """
@@ -73,7 +70,7 @@ class OverlayFrame:
 
         Raises
         ------
-        obbhbb_ros.overlay.OverlayError
+        obbhbb_ros.overlay.drawing.OverlayError
             If the image cannot be drawn on.
         """
         layers = [
@@ -82,7 +79,7 @@ class OverlayFrame:
         return draw(self.image, layers, self._labels(), self._settings.style)
 
     def marker(self, layer: str) -> bytes:
-        """Write a layer as a marker; one without lines if it did not come."""
+        """Write a layer as a serialized marker; a layer that did not come has no lines."""
         image, settings = self.image, self._settings
         return line_list(
             image.stamp,
@@ -95,9 +92,9 @@ class OverlayFrame:
 
     @cached_property
     def _corners(self) -> dict[str, FloatArray]:
-        """Give the corners, (N, 4, 2), of each layer, NaN where a box cannot be drawn."""
+        """Corners, (N, 4, 2), of each layer, NaN where a box cannot be drawn."""
         size, settings = (self.image.width, self.image.height), self._settings
-        found = {}
+        corners = {}
         for layer, detections in self._layers.items():
             frame, theta_scale = InputFrame((0, 0)), 1.0
             if layer == 'detections':
@@ -105,11 +102,11 @@ class OverlayFrame:
             boxes = frame.oriented_boxes(
                 detections.xywhr(), detections.polygons, size, theta_scale=theta_scale
             )
-            found[layer] = np.where(boxes.valid[:, None, None], boxes.corners, np.nan)
-        return found
+            corners[layer] = np.where(boxes.valid[:, None, None], boxes.corners, np.nan)
+        return corners
 
     def _labels(self) -> Labels | None:
-        """Write class and score of the detections, or of what came in their place."""
+        """Write class and score of the detections, else of the boxes, else of the crop regions."""
         for layer in reversed(LAYER_COLORS):
             if layer in self._layers:
                 detections = self._layers[layer]

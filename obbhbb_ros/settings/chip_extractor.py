@@ -10,7 +10,8 @@ from typing import Any
 from obbhbb_ros.downlink.budget import BudgetSettings
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.downlink.chips import CodecSettings
-from obbhbb_ros.downlink.pairing import PairingLimits
+from obbhbb_ros.downlink.joiner import PairLimits
+from obbhbb_ros.downlink.joiner import PartLimits
 from obbhbb_ros.settings.common import COMMON
 from obbhbb_ros.settings.common import IMAGES_KEPT
 from obbhbb_ros.settings.common import INPUT_TIMEOUT
@@ -30,7 +31,7 @@ class ChipSettings:
 
     codec: CodecSettings
     budget: BudgetSettings
-    pairing: PairingLimits
+    pairing: PairLimits
     spool_path: str
     spool_max_bytes: float
 
@@ -40,10 +41,10 @@ def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
     return ChipSettings(
         codec=group_of(CodecSettings, values, ''),
         budget=group_of(BudgetSettings, values, 'budget.'),
-        pairing=PairingLimits(
-            (values['cache.images'], values['cache.regions']),
-            values['cache.max_age'],
-            values['cache.slop'],
+        pairing=PairLimits(
+            images=PartLimits(values['cache.images'], values['cache.max_age']),
+            plans=PartLimits(values['cache.regions'], values['cache.max_age']),
+            slop=values['cache.slop'],
         ),
         spool_path=folder_of(values, 'spool.path'),
         spool_max_bytes=values['spool.max_bytes'],

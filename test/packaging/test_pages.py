@@ -24,7 +24,7 @@ from obbhbb_ros import cli
 from obbhbb_ros import commands
 from obbhbb_ros.downlink.chips import Dropped
 from obbhbb_ros.downlink.crops import LeftOut
-from obbhbb_ros.downlink.pairing import Unpaired
+from obbhbb_ros.downlink.joiner import Unpaired
 from obbhbb_ros.geometry.boxes import Defect
 from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.wire.layouts import INPUT_TYPES

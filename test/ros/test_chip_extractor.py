@@ -367,7 +367,7 @@ def test_a_bag_that_loops_gives_its_chips_each_time_and_says_so(
             node.wait(lambda i=i: len(node.chips) > i, 'its chip')
         assert len(node.chips) == 30
     assert node.counts()['stamps_ran_back'] == 4
-    assert 'ran back from ' in node.process.log
+    assert 'went backwards from ' in node.process.log
 
 
 def test_the_whole_chain_runs_from_a_folder(site: Site, tmp_path: Any) -> None:

@@ -13,8 +13,8 @@ from obbhbb_ros import files
 from obbhbb_ros.downlink import budget
 from obbhbb_ros.downlink import chips
 from obbhbb_ros.downlink import crops
+from obbhbb_ros.downlink import joiner
 from obbhbb_ros.downlink import merging
-from obbhbb_ros.downlink import pairing
 from obbhbb_ros.geometry import boxes
 from obbhbb_ros.geometry import converter
 from obbhbb_ros.geometry import methods
@@ -50,7 +50,8 @@ WITH_EXAMPLES = (
     crops.CropSettings,
     crops.plan_crops,
     merging.merge_regions,
-    pairing.Pairing,
+    joiner.PairJoiner,
+    joiner.StampCache,
 )
 
 

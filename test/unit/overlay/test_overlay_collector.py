@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames that wait for their parts: any order, bounded, nothing lost without a word."""
+"""Images and layers that wait for each other: any order, bounded, all accounted for."""
 
 from __future__ import annotations
 
@@ -7,24 +7,33 @@ import itertools
 
 import pytest
 
-from obbhbb_ros.overlay.collector import IMAGE
 from obbhbb_ros.overlay.collector import CollectorLimits
-from obbhbb_ros.overlay.collector import FrameCollector
+from obbhbb_ros.overlay.collector import LayerCollector
 from obbhbb_ros.overlay.collector import NotDrawn
 
 LIMITS = CollectorLimits(max_wait=0.5, max_age=5.0, images=3)
 AWAITED = {'boxes', 'detections'}
+IMAGE = 'image'
 PARTS = (IMAGE, *sorted(AWAITED))
 
 
 @pytest.fixture
-def discarded() -> list[NotDrawn]:
+def dropped() -> list[NotDrawn]:
     return []
 
 
+class Collector(LayerCollector):
+    """Takes images and layers by one method."""
+
+    def add(self, kind, stamp, item, now):
+        if kind == IMAGE:
+            return self.add_image(stamp, item, now)
+        return self.add_layer(kind, stamp, item, now)
+
+
 @pytest.fixture
-def frames(discarded: list[NotDrawn]) -> FrameCollector:
-    return FrameCollector(discarded.append)
+def frames(dropped: list[NotDrawn]) -> Collector:
+    return Collector(dropped.append)
 
 
 @pytest.mark.parametrize('order', itertools.permutations(PARTS))
@@ -33,7 +42,9 @@ def test_a_frame_is_ready_with_its_last_part_whatever_the_order(frames, order) -
         assert frames.add(kind, (1, 0), f'some {kind}', 0.0)
         assert not frames.ready(AWAITED, 0.0, LIMITS)
     assert frames.add(order[-1], (1, 0), f'some {order[-1]}', 0.1)
-    assert frames.ready(AWAITED, 0.1, LIMITS) == [{kind: f'some {kind}' for kind in PARTS}]
+    assert frames.ready(AWAITED, 0.1, LIMITS) == [
+        ('some image', {kind: f'some {kind}' for kind in AWAITED})
+    ]
     assert not len(frames)
 
 
@@ -43,83 +54,83 @@ def test_parts_of_different_stamps_are_not_mixed(frames) -> None:
     for nanoseconds in (1, 0):
         frames.add('boxes', (1, nanoseconds), nanoseconds, 0.0)
     ready = frames.ready({'boxes'}, 0.0, LIMITS)
-    assert ready == [{IMAGE: number, 'boxes': number} for number in (0, 1)]
+    assert ready == [(number, {'boxes': number}) for number in (0, 1)]
 
 
 def test_only_what_is_awaited_is_waited_for(frames) -> None:
     frames.add('boxes', (1, 0), 'boxes', 0.0)
     frames.add(IMAGE, (1, 0), 'pixels', 0.0)
-    assert frames.ready(set(), 0.0, LIMITS) == [{IMAGE: 'pixels', 'boxes': 'boxes'}]
+    assert frames.ready(set(), 0.0, LIMITS) == [('pixels', {'boxes': 'boxes'})]
 
 
-def test_an_image_waits_for_a_while_from_its_own_arrival(frames, discarded) -> None:
+def test_an_image_waits_for_a_while_from_its_own_arrival(frames, dropped) -> None:
     frames.add('boxes', (1, 0), 'boxes', 0.0)
     frames.add(IMAGE, (1, 0), 'pixels', 4.0)
     assert not frames.ready(AWAITED, 4.4, LIMITS)
-    assert frames.ready(AWAITED, 4.5, LIMITS) == [{IMAGE: 'pixels', 'boxes': 'boxes'}]
-    assert not discarded
+    assert frames.ready(AWAITED, 4.5, LIMITS) == [('pixels', {'boxes': 'boxes'})]
+    assert not dropped
 
 
-def test_parts_without_an_image_are_discarded_in_the_end(frames, discarded) -> None:
+def test_parts_without_an_image_are_dropped_in_the_end(frames, dropped) -> None:
     frames.add('boxes', (1, 0), 'boxes', 0.0)
     assert not frames.ready(AWAITED, 4.9, LIMITS)
-    assert not discarded
+    assert not dropped
     assert not frames.ready(AWAITED, 5.0, LIMITS)
-    assert discarded == [NotDrawn.NO_IMAGE]
+    assert dropped == [NotDrawn.NO_IMAGE]
 
 
-def test_an_incomplete_frame_is_not_drawn_after_a_later_one(frames, discarded) -> None:
+def test_an_incomplete_frame_is_not_drawn_after_a_later_one(frames, dropped) -> None:
     frames.add(IMAGE, (1, 0), 'earlier', 0.0)
     frames.add(IMAGE, (2, 0), 'later', 0.1)
     frames.add('boxes', (2, 0), 'boxes', 0.1)
     assert len(frames.ready({'boxes'}, 0.1, LIMITS)) == 1
     assert not frames.ready({'boxes'}, 1.0, LIMITS)
-    assert discarded == [NotDrawn.OVERTAKEN]
+    assert dropped == [NotDrawn.OVERTAKEN]
 
 
-def test_a_complete_frame_is_drawn_even_after_a_later_one(frames, discarded) -> None:
+def test_a_complete_frame_is_drawn_even_after_a_later_one(frames, dropped) -> None:
     frames.add(IMAGE, (1, 0), 'earlier', 0.0)
     for stamp in ((2, 0), (1, 0)):
         frames.add(IMAGE, stamp, 'pixels', 0.1)
         frames.add('boxes', stamp, 'boxes', 0.1)
         assert len(frames.ready({'boxes'}, 0.1, LIMITS)) == 1
-    assert not discarded
+    assert not dropped
 
 
-def test_stamps_may_begin_again(frames, discarded) -> None:
+def test_stamps_may_begin_again(frames, dropped) -> None:
     for moment, second in enumerate((1, 2, 1, 2)):
         frames.add(IMAGE, (second, 0), 'pixels', moment)
         assert len(frames.ready({'boxes'}, moment + 0.5, LIMITS)) == 1
-    assert not discarded
+    assert not dropped
 
 
 def test_the_later_of_two_of_a_kind_counts(frames) -> None:
     assert frames.add('boxes', (1, 0), 'first', 0.0)
     assert not frames.add('boxes', (1, 0), 'second', 0.0)
     frames.add(IMAGE, (1, 0), 'pixels', 0.0)
-    assert frames.ready({'boxes'}, 0.0, LIMITS) == [{'boxes': 'second', IMAGE: 'pixels'}]
+    assert frames.ready({'boxes'}, 0.0, LIMITS) == [('pixels', {'boxes': 'second'})]
 
 
-def test_the_oldest_images_are_discarded_where_there_are_too_many(frames, discarded) -> None:
+def test_the_oldest_images_are_dropped_where_there_are_too_many(frames, dropped) -> None:
     frames.add('boxes', (9, 0), 'boxes', 0.0)
     for second in range(5):
         frames.add(IMAGE, (second, 0), second, 0.0)
         assert not frames.ready(AWAITED, 0.0, LIMITS)
-    assert discarded == [NotDrawn.CROWDED_OUT] * 2
-    assert [parts[IMAGE] for parts in frames.ready(set(), 0.0, LIMITS)] == [2, 3, 4]
+    assert dropped == [NotDrawn.CROWDED_OUT] * 2
+    assert [image for image, _ in frames.ready(set(), 0.0, LIMITS)] == [2, 3, 4]
 
 
-def test_memory_is_bounded_without_images_too(frames, discarded) -> None:
+def test_memory_is_bounded_without_images_too(frames, dropped) -> None:
     for second in range(1, 3001):
         frames.add('boxes', (second, 0), 'boxes', 0.0)
         frames.ready(AWAITED, 0.0, LIMITS)
     assert len(frames) == 1000
-    assert discarded == [NotDrawn.CROWDED_OUT] * 2000
+    assert dropped == [NotDrawn.CROWDED_OUT] * 2000
 
 
-def test_clearing_discards_everything(frames, discarded) -> None:
+def test_clearing_discards_everything(frames, dropped) -> None:
     frames.add('boxes', (1, 0), 'boxes', 0.0)
     frames.add(IMAGE, (2, 0), 'pixels', 0.0)
     frames.clear()
-    assert discarded == [NotDrawn.CLEARED] * 2
+    assert dropped == [NotDrawn.CLEARED] * 2
     assert not len(frames)
