@@ -11,24 +11,22 @@ from dataclasses import dataclass
 from dataclasses import fields
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from obbhbb_ros.geometry.boxes import Defect
+from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.converter import NO_CAPS
 from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import Conversion
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.geometry.converter import convert_with_diagnostics
+from obbhbb_ros.labels import yolo
 from obbhbb_ros.labels.folders import bare_name
-from obbhbb_ros.labels.folders import label_files
-from obbhbb_ros.labels.formats import FORMATS
 from obbhbb_ros.labels.formats import box_format
-from obbhbb_ros.labels.formats import detect_format
-from obbhbb_ros.labels.formats import format_named
-from obbhbb_ros.labels.formats import read_labels
-from obbhbb_ros.labels.formats import write_boxes
+from obbhbb_ros.labels.formats import find_labels
 from obbhbb_ros.labels.image_files import stored_size
 from obbhbb_ros.labels.image_labels import BowSource
 from obbhbb_ros.labels.image_labels import ImageBoxes
@@ -39,9 +37,9 @@ Progress = Callable[[Iterable[ImageLabels], 'int | None'], Iterable[ImageLabels]
 
 
 @dataclass(frozen=True)
-class Tally:
+class LabelTally:
     """
-    Counts of a conversion.
+    What became of the records of label files.
 
     Attributes
     ----------
@@ -54,7 +52,7 @@ class Tally:
     malformed : int
         Records that could not be read.
     bows : int or None
-        Boxes whose bow is known; None if it does not matter.
+        Boxes whose bow is known; None if no bow was asked for.
     """
 
     images: int
@@ -84,22 +82,36 @@ class Tally:
         )
 
 
+class ConvertedImage(NamedTuple):
+    """
+    What became of the boxes of an image.
+
+    Attributes
+    ----------
+    boxes : ImageBoxes
+        The boxes that could be converted.
+    left_out : mapping of int to str
+        The reason for each row that could not.
+    bows : int
+        Boxes whose bow is known.
+    """
+
+    boxes: ImageBoxes
+    left_out: Mapping[int, str]
+    bows: int
+
+
 def convert_image(
     labels: ImageLabels,
     rule: HullRule,
     caps: Caps = NO_CAPS,
     diagnostics: bool = False,
     bow: BowSource = 'none',
-) -> tuple[ImageBoxes, dict[int, str]]:
+) -> ConvertedImage:
     """
     Convert the boxes of an image, and keep how each was computed if `diagnostics`.
 
     `bow` says how the bow is known, as in `ImageLabels.boxes`.
-
-    Returns
-    -------
-    ImageBoxes, dict of int to str
-        The boxes that could be converted, and the reason for each row that could not.
     """
     boxes = labels.boxes(bow)
     conversion = convert_with_diagnostics(boxes, rule, caps) if diagnostics else None
@@ -109,9 +121,10 @@ def convert_image(
         finite = np.isfinite((xyxy[:, 2:] - xyxy[:, :2]).prod(axis=1))
     rows = np.flatnonzero(finite)
     if conversion is not None:
-        columns = {each.name: getattr(conversion, each.name)[rows] for each in fields(conversion)}
-        conversion = Conversion(**columns)
-    image = ImageBoxes(
+        conversion = Conversion(
+            *(getattr(conversion, field.name)[rows] for field in fields(conversion))
+        )
+    converted = ImageBoxes(
         image=labels.image,
         xyxy=xyxy[rows],
         class_ids=tuple(labels.class_ids[row] for row in rows),
@@ -121,12 +134,14 @@ def convert_image(
         source=labels.source,
         diagnostics=conversion,
     )
-    bad = np.flatnonzero(~finite).tolist()
-    return image, {row: _reason(Defect(boxes.defects[row])) for row in bad}
+    left_out = {row: _reason(boxes, row) for row in np.flatnonzero(~finite).tolist()}
+    bows = 0 if boxes.bow is None else int(np.count_nonzero(boxes.bow))
+    return ConvertedImage(converted, left_out, bows)
 
 
-def _reason(defect: Defect) -> str:
-    # A box without a defect is left out because its result is too large.
+def _reason(boxes: OrientedBoxes, row: int) -> str:
+    """Say why a box is left out: for its defect or, without one, because its result is too big."""
+    defect = Defect(boxes.defects[row])
     return 'overflow' if defect == Defect.NONE else defect.name.lower().replace('_', ' ')
 
 
@@ -138,25 +153,24 @@ def convert_labels(
     diagnostics: bool = False,
     bow: BowSource = 'none',
     report: Callable[[str], None],
-) -> tuple[list[ImageBoxes], Tally]:
+) -> tuple[list[ImageBoxes], LabelTally]:
     """
     Convert images as `convert_image` does, and count the boxes that cannot be converted.
 
     `report` gets a line for each of these. The counts do not include malformed records.
     """
-    done = []
+    done: list[ImageBoxes] = []
     reasons: Counter[str] = Counter()
-    bows = None if bow == 'none' else 0
+    bows = 0
     for labels in images:
-        image, bad = convert_image(labels, rule, caps, diagnostics, bow)
-        if bows is not None and (known := labels.boxes(bow).bow) is not None:
-            bows += np.count_nonzero(known)
-        done.append(image)
-        reasons.update(bad.values())
-        for row, reason in bad.items():
+        converted = convert_image(labels, rule, caps, diagnostics, bow)
+        done.append(converted.boxes)
+        bows += converted.bows
+        reasons.update(converted.left_out.values())
+        for row, reason in converted.left_out.items():
             report(f'{labels.source}: image {labels.image!r}: box {row + 1} left out: {reason}')
     boxes = sum(len(image.class_ids) for image in done)
-    return done, Tally(len(done), boxes, dict(reasons), 0, bows)
+    return done, LabelTally(len(done), boxes, dict(reasons), 0, None if bow == 'none' else bows)
 
 
 def convert_file(
@@ -172,7 +186,7 @@ def convert_file(
     bow: BowSource = 'none',
     report: Callable[[str], None],
     progress: Progress = lambda images, _: images,
-) -> Tally:
+) -> LabelTally:
     """
     Read a file or folder of oriented boxes and write one of axis-aligned boxes.
 
@@ -204,24 +218,25 @@ def convert_file(
     OSError
         If a file cannot be read or written.
     """
-    writes = box_format(target, target_format, diagnostics)
-    reads = format_named(source_format or detect_format(source))
+    target_labels = box_format(target, target_format, diagnostics)
+    source_labels = find_labels(source, source_format)
     malformed: list[LabelError] = []
 
     def skip(error: LabelError) -> None:
         malformed.append(error)
         report(str(error))
 
-    labels = read_labels(source, reads.name, image_size=image_size, on_error=skip)
-    total = len(label_files(source, reads.suffixes)) if source.is_dir() else None
+    labels = source_labels.read(image_size, skip)
+    total = len(source_labels.files) if source.is_dir() else None
     images, tally = convert_labels(
         progress(labels, total), rule, caps, diagnostics=diagnostics, bow=bow, report=report
     )
     tally = replace(tally, malformed=len(malformed))
     if tally.readable:
-        if writes is FORMATS['yolo']:
+        if target_labels is yolo.UPRIGHT:
             images = [_sized(image) for image in images]
-        write_boxes(target, images, writes.name)
+        assert target_labels.write_boxes is not None
+        target_labels.write_boxes(target, images)
     return tally
 
 

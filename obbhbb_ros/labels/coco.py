@@ -11,7 +11,7 @@ COCO detection JSON: one file of many images, in pixels.
 
 The oriented box is the minimum rotated rectangle of the polygons, which are also the hull, unless
 there is one polygon of four corners; ``bbox`` is the reference box. An annotation without polygons
-is read as the upright box of its ``bbox``. Run-length masks are not read, and reported one by one.
+is read as the upright box of its ``bbox``. Run-length masks are reported one by one and not read.
 Images are named by ``file_name``.
 
 Ids of boxes are written if all of them are different whole numbers; otherwise boxes are numbered
@@ -57,7 +57,7 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
     if 'categories' in document:
         categories = _by_id(file, 'categories', document['categories'], _category)
     annotations = documents.numbered('annotations', document['annotations'])
-    records = file.parse_each(annotations, partial(_annotation, images, categories))
+    records = file.parse_records(annotations, partial(_annotation, images, categories))
     boxes = shapes.enclose(file, records)
     for key, (name, size) in images.items():
         yield file.image(name, boxes.get(repr(key), []), size)
@@ -75,17 +75,17 @@ def _check_lists(file: LabelFile, document: Any) -> None:
 def _by_id(
     file: LabelFile, name: str, records: list[Any], parse: Callable[[dict[str, Any]], Item]
 ) -> dict[Id, Item]:
-    found: dict[Id, Item] = {}
+    items: dict[Id, Item] = {}
 
     def parse_new(record: Any) -> tuple[Id, Item]:
         key = _id(record, 'id')
-        if key in found:
+        if key in items:
             raise ValueError(f'id {key!r} is already used')
         return key, parse(record)
 
-    for _, _, (key, item) in file.parse_each(documents.numbered(name, records), parse_new):
-        found[key] = item
-    return found
+    for _, _, (key, item) in file.parse_records(documents.numbered(name, records), parse_new):
+        items[key] = item
+    return items
 
 
 def _id(record: object, name: str) -> Id:
@@ -95,9 +95,9 @@ def _id(record: object, name: str) -> Id:
     return key
 
 
-def _known_id(record: object, name: str, known: Collection[Id]) -> Id:
+def _id_in(ids: Collection[Id], record: object, name: str) -> Id:
     key = _id(record, name)
-    if key not in known:
+    if key not in ids:
         raise ValueError(f'{name!r} is {key!r}, which is not in the file')
     return key
 
@@ -117,11 +117,11 @@ def _category(record: dict[str, Any]) -> str:
 def _annotation(
     images: Collection[Id], categories: Mapping[Id, str] | None, annotation: dict[str, Any]
 ) -> shapes.Outlined:
-    image = repr(_known_id(annotation, 'image_id', images))
+    image = repr(_id_in(images, annotation, 'image_id'))
     if categories is None:
         class_id = documents.plain_text(_id(annotation, 'category_id'))
     else:
-        class_id = categories[_known_id(annotation, 'category_id', categories)]
+        class_id = categories[_id_in(categories, annotation, 'category_id')]
     score, bbox = annotation.get('score'), annotation.get('bbox')
     box = Box(
         corners=(),
@@ -158,32 +158,36 @@ def _rings(segmentation: object) -> list[FloatArray]:
 
 
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
-    names = list(dict.fromkeys(name for each in images for name in each.class_ids))
-    records: list[dict[str, Any]] = []
-    for number, each in enumerate(images, start=1):
-        records.append({'id': number, 'file_name': each.image})
-        if each.size is not None:
-            records[-1] |= {'width': each.size[0], 'height': each.size[1]}
+    names = dict.fromkeys(name for image in images for name in image.class_ids)
+    categories = {name: number for number, name in enumerate(names, start=1)}
     document = {
-        'images': records,
-        'categories': [{'id': number, 'name': name} for number, name in enumerate(names, start=1)],
-        'annotations': _annotation_records(images, names),
+        'images': [_image_record(number, image) for number, image in enumerate(images, start=1)],
+        'categories': [{'id': number, 'name': name} for name, number in categories.items()],
+        'annotations': _annotation_records(images, categories),
     }
     text.write_lines(path, [json.dumps(document, ensure_ascii=False, allow_nan=False)])
 
 
-def _annotation_records(images: list[ImageBoxes], names: list[str]) -> list[dict[str, Any]]:
-    categories = {name: number for number, name in enumerate(names, start=1)}
+def _image_record(number: int, image: ImageBoxes) -> dict[str, Any]:
+    record: dict[str, Any] = {'id': number, 'file_name': image.image}
+    if image.size is not None:
+        record['width'], record['height'] = image.size
+    return record
+
+
+def _annotation_records(
+    images: list[ImageBoxes], categories: Mapping[str, int]
+) -> list[dict[str, Any]]:
     scored = any(np.any(image.scores != 1.0) for image in images)
-    given = [instance for image in images for instance in image.ids]
-    keep = all(map(text.is_index, given)) and len(set(map(int, given))) == len(given)
+    ids = [instance for image in images for instance in image.ids]
+    keep_ids = all(map(text.is_index, ids)) and len(set(map(int, ids))) == len(ids)
     records: list[dict[str, Any]] = []
     for image_id, image in enumerate(images, start=1):
         for box in image.rows():
             x_min, y_min, x_max, y_max = box.xyxy
             width, height = x_max - x_min, y_max - y_min
             record: dict[str, Any] = {
-                'id': int(box.id) if keep else len(records) + 1,
+                'id': int(box.id) if keep_ids else len(records) + 1,
                 'image_id': image_id,
                 'category_id': categories[box.class_id],
                 'bbox': [x_min, y_min, width, height],
@@ -193,7 +197,7 @@ def _annotation_records(images: list[ImageBoxes], names: list[str]) -> list[dict
             }
             if scored:
                 record['score'] = box.score
-            if box.id and not keep:
+            if box.id and not keep_ids:
                 record['instance'] = box.id
             records.append(record)
     return records

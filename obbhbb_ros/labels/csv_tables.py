@@ -8,11 +8,11 @@ With corners::
     P0706,0,ship,284,466,274,456,300,427,310,439,278,429,307,461,301 429;300 430;299 430
 
 The header gives the order of the columns; unknown columns are ignored. ``hx1`` to ``hy2``, the
-reference box, may be empty or absent, and so may ``mask``, the hull polygon, and ``score``, which
-is then 1. A row is one line, quoted fields included, so that a stray quote damages one row and not
+reference box, may be empty or absent; so may ``mask``, the hull polygon, and ``score``, which is
+then 1. A row is one line, quoted fields included, so that a stray quote damages one row and not
 the rest of the file. A row with only an image name is an image without boxes. The eight
 corners may be replaced by ``x_min,y_min,x_max,y_max``, as `obbhbb convert` writes them: the box is
-then upright, and its own reference box.
+then upright and also the reference box.
 
 With a column of WKT::
 
@@ -53,6 +53,7 @@ from obbhbb_ros.labels.label_file import NO_REFERENCE
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import Item
 from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_file import Record
 from obbhbb_ros.labels.label_format import Format
 
 CORNERS = ('x1', 'y1', 'x2', 'y2', 'x3', 'y3', 'x4', 'y4')
@@ -81,7 +82,7 @@ def _read_wkt(file: LabelFile) -> Iterator[ImageLabels]:
 
 def _read_rows(
     file: LabelFile, parser_for: Callable[[list[str]], Callable[[list[str]], Item]]
-) -> Iterator[tuple[int | None, str, Item]]:
+) -> Iterator[Record[Item]]:
     """Parse the rows below a header; `parser_for` makes the row parser from the column names."""
     lines = text.filled_lines(file)
     number, _, header = next(lines, (None, '', ''))
@@ -97,7 +98,7 @@ def _read_rows(
             raise ValueError(f'{len(fields)} fields, the header has {len(columns)}')
         return parse(fields)
 
-    return file.parse_each(lines, parse_line)
+    return file.parse_records(lines, parse_line)
 
 
 def _split_row(line: str) -> list[str]:
@@ -125,15 +126,15 @@ def _row_parser(columns: list[str]) -> Callable[[list[str]], tuple[str, Box | No
 def _parse_row(
     columns: list[str], shape: Sequence[str], fields: list[str]
 ) -> tuple[str, Box | None]:
-    """Parse image name and box; `shape` are the columns of the corners or of the bounds."""
+    """Parse image name and box; `shape` names the columns of the corners or of the bounds."""
     row = dict(zip(columns, fields, strict=True))
     if not row['image']:
         raise ValueError('no image name')
     if sum(map(bool, fields)) == 1:
         return row['image'], None
     corners: Sequence[float] = text.parse_numbers([row[column] for column in shape])
-    given = [row.get(column, '') for column in REFERENCE]
-    reference: Sequence[float] = text.parse_numbers(given) if any(given) else NO_REFERENCE
+    bounds = [row.get(column, '') for column in REFERENCE]
+    reference: Sequence[float] = text.parse_numbers(bounds) if any(bounds) else NO_REFERENCE
     if shape is BOUNDS:
         reference = corners if reference is NO_REFERENCE else reference
         corners = shapes.upright_corners(corners)

@@ -12,6 +12,7 @@ from typing import Any
 
 from obbhbb_ros.labels.image_labels import ImageSize
 from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_file import Record
 
 
 def image_size_of(width: object, height: object) -> ImageSize | None:
@@ -25,7 +26,7 @@ def image_size_of(width: object, height: object) -> ImageSize | None:
 
 def read_json(file: LabelFile, shorten: Callable[[dict[str, Any]], Any] | None = None) -> Any:
     """
-    Parse a JSON file, UTF-8 with or without BOM; raise FileError if it is none.
+    Parse a JSON file, UTF-8 with or without BOM; raise FileError if it is not JSON.
 
     `shorten` is called with each JSON object as soon as it is complete; its result replaces the
     object.
@@ -41,13 +42,13 @@ def read_json(file: LabelFile, shorten: Callable[[dict[str, Any]], Any] | None =
         raise file.error(f'not JSON: {error}') from None
 
 
-def numbered(name: str, records: Iterable[Any]) -> Iterator[tuple[None, str, Any]]:
-    """Give records, for `LabelFile.parse_each`, a place: their number from 0."""
-    return ((None, f'{name}[{index}]: ', record) for index, record in enumerate(records))
+def numbered(name: str, items: Iterable[Any]) -> Iterator[Record[Any]]:
+    """Turn items into records for `LabelFile.parse_records`, numbered from 0: ``name[0]: ``."""
+    return ((None, f'{name}[{index}]: ', item) for index, item in enumerate(items))
 
 
 def json_member(record: object, name: str) -> Any:
-    """Return a member of a JSON object; raise ValueError if it is no object or has none."""
+    """Return a member of a JSON object; raise ValueError if it is no object or lacks the member."""
     if not isinstance(record, dict):
         raise ValueError('not a JSON object')
     if name not in record:
@@ -94,6 +95,6 @@ def plain_text(value: object) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ''
     if isinstance(value, float) and value.is_integer():
-        # Tables with a missing value somewhere keep whole numbers as 3.0.
+        # A table column with a missing value holds whole numbers as 3.0.
         return str(int(value))
     return str(value)

@@ -19,7 +19,7 @@ import re
 from pathlib import Path
 
 from obbhbb_ros.labels import text
-from obbhbb_ros.labels.folders import write_each
+from obbhbb_ros.labels.folders import write_per_image
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelFile
@@ -52,7 +52,7 @@ def _split(line: str) -> list[str]:
 
 
 def _write(path: Path, images: list[ImageLabels]) -> None:
-    write_each(path, images, '.txt', _lines)
+    write_per_image(path, images, '.txt', _lines)
 
 
 def _lines(labels: ImageLabels) -> list[str]:

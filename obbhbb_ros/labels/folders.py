@@ -31,19 +31,19 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        # A pipe can be read only once, and format detection reads the file before.
+        # A pipe can be read only once, and detecting the format would read it first.
         raise ValueError(f'{path}: neither a regular file nor a folder')
     files = sorted(
-        each
-        for each in path.iterdir()
-        if each.suffix.lower() in suffixes
-        and each.is_file()
-        and not each.name.startswith('.')
-        and each.name != CLASSES_FILE
+        file
+        for file in path.iterdir()
+        if file.suffix.lower() in suffixes
+        and file.is_file()
+        and not file.name.startswith('.')
+        and file.name != CLASSES_FILE
     )
     if not files:
-        wanted = ', '.join(sorted(suffixes))
-        raise LabelError(path, None, f'no label file in this folder (looked for {wanted})')
+        expected = ', '.join(sorted(suffixes))
+        raise LabelError(path, None, f'no label file in this folder (looked for {expected})')
     return files
 
 
@@ -53,9 +53,9 @@ def target_files(
     """
     Choose the label file of each image.
 
-    The path is a folder, which need not exist; or, for a single image, a file that ends in
-    `suffix`. Raises ValueError if it is a file for another number of images, two images have the
-    same file, or an image name makes no file name.
+    The path is a folder, which need not exist, or, for a single image, a file that ends in
+    `suffix`. Raises ValueError if the path is a file but there is not exactly one image, if two
+    images would have the same file, or if no file can be named after an image.
     """
     images = list(images)
     if path.suffix.lower() == suffix and not path.is_dir():
@@ -72,11 +72,11 @@ def target_files(
     return [(path / name, image) for name, image in targets.items()]
 
 
-def write_each(
+def write_per_image(
     path: Path, images: Iterable[AnyImage], suffix: str, lines: Callable[[AnyImage], list[str]]
 ) -> None:
     """
-    Write one file per image, see `target_files`, after all of them are turned into lines.
+    Write one file per image, see `target_files`, once all of them are turned into lines.
 
     `lines` returns the lines for an image, and raises ValueError if the format cannot hold them.
     """

@@ -9,6 +9,7 @@ import os
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
@@ -47,27 +48,76 @@ _ALL = (
     geojson.FORMAT,
     shapefile.FORMAT,
 )
-FORMATS: dict[str, Format] = {each.name: each for each in _ALL}
+FORMATS: dict[str, Format] = {entry.name: entry for entry in _ALL}
 
 _HEAD_BYTES = 16384
 
 
 def format_named(name: str) -> Format:
-    """Return the format of a name; raise ValueError, which lists the known ones, if it is none."""
+    """Return the format of that name; raise ValueError, which lists all names, if none has it."""
     if name not in FORMATS:
         raise ValueError(f'unknown label format {name!r}: known are {names(FORMATS.values())}')
     return FORMATS[name]
+
+
+@dataclass(frozen=True)
+class LabelSource:
+    """
+    The label files of a path, listed once, and their format.
+
+    Attributes
+    ----------
+    format : Format
+        The format, as the caller named it or as it was detected.
+    files : list of Path
+        The files, in the order in which they are read.
+    """
+
+    format: Format
+    files: list[Path]
+
+    def read(
+        self, image_size: tuple[int, int] | None = None, on_error: OnError | None = None
+    ) -> Iterator[ImageLabels]:
+        """Read the files one by one; options and errors are those of `read_labels`."""
+        size = None if image_size is None else _checked_size(image_size)
+        return self._images(size, on_error or raise_error)
+
+    def _images(self, size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
+        for file in self.files:
+            try:
+                yield from self.format.read(LabelFile(file, size, on_error))
+            except FileError as error:
+                on_error(error)
+
+
+def find_labels(path: Path, name: str | None = None) -> LabelSource:
+    """
+    List the label files of a file or folder, in the named format or in the one detected.
+
+    Errors are those of `detect_format`; ValueError too if no format has the name.
+    """
+    if name:
+        chosen = format_named(name)
+        return LabelSource(chosen, label_files(path, chosen.suffixes))
+    suffixes = {suffix for format_ in FORMATS.values() for suffix in format_.suffixes}
+    files = label_files(path, suffixes)
+    candidates = _formats_by_content(files)
+    if len(candidates) > 1:
+        raise ValueError(f'{path}: more than one label format: {names(candidates)}: give one')
+    chosen = candidates[0] if candidates else _format_by_suffix(path, files)
+    return LabelSource(chosen, [file for file in files if _suffix(file) in chosen.suffixes])
 
 
 def detect_format(path: str | os.PathLike[str]) -> str:
     """
     Detect the format of a label file, or of the label files in a folder: a key of `FORMATS`.
 
-    The formats with the suffix of the file are compared with its beginning: one line that fits
-    exactly one format is enough. In a folder the first file of each suffix whose format can be
-    detected decides for all files of this suffix. If the content does not decide, the suffix does,
-    provided only one format has it; blank files have the first format of their suffix, since in all
-    formats they are an image without boxes.
+    The beginning of the file is compared with the formats of its suffix: one line that fits exactly
+    one of them is enough. In a folder, the first file of each suffix whose format can be detected
+    decides for all files of that suffix. If the content does not decide, the suffix does, provided
+    only one format has it. Blank files get the first format of their suffix: in every format they
+    are an image without boxes.
 
     Raises
     ------
@@ -78,32 +128,27 @@ def detect_format(path: str | os.PathLike[str]) -> str:
     ValueError
         If the format cannot be detected, or a folder holds files of more than one format.
     """
-    path = Path(path)
-    suffixes = {suffix for each in FORMATS.values() for suffix in each.suffixes}
-    files = label_files(path, suffixes)
-    found = _detect_by_content(files)
-    if len(found) > 1:
-        raise ValueError(f'{path}: more than one label format: {names(found)}: give one')
-    return (found[0] if found else _detect_by_suffix(path, files)).name
+    return find_labels(Path(path)).format.name
 
 
-def _detect_by_content(files: Iterable[Path]) -> list[Format]:
-    found: dict[str, Format] = {}
+def _formats_by_content(files: Iterable[Path]) -> list[Format]:
+    """Return the format that decides for each suffix, if any, without repetition."""
+    formats: dict[str, Format] = {}
     for _, group in groupby(sorted(files, key=_suffix), key=_suffix):
-        first = next((each for each in map(_sniff, group) if each is not None), None)
+        first = next(filter(None, map(_only_fitting, group)), None)
         if first is not None:
-            found[first.name] = first
-    return list(found.values())
+            formats[first.name] = first
+    return list(formats.values())
 
 
-def _sniff(file: Path) -> Format | None:
+def _only_fitting(file: Path) -> Format | None:
     head = _head(file)
-    fitting = [each for each in _formats_of(file) if each.sniff(head)]
+    fitting = [candidate for candidate in _formats_of(file) if candidate.sniff(head)]
     return fitting[0] if len(fitting) == 1 else None
 
 
-def _detect_by_suffix(path: Path, files: Sequence[Path]) -> Format:
-    candidates = {each.name: each for file in files for each in _formats_of(file)}
+def _format_by_suffix(path: Path, files: Sequence[Path]) -> Format:
+    candidates = {fitting.name: fitting for file in files for fitting in _formats_of(file)}
     blank = all(not _head(file).strip() for file in files)
     if len(candidates) == 1 or (candidates and blank):
         return next(iter(candidates.values()))
@@ -111,7 +156,7 @@ def _detect_by_suffix(path: Path, files: Sequence[Path]) -> Format:
 
 
 def _formats_of(file: Path) -> list[Format]:
-    return [each for each in FORMATS.values() if _suffix(file) in each.suffixes]
+    return [candidate for candidate in FORMATS.values() if _suffix(file) in candidate.suffixes]
 
 
 def _suffix(file: Path) -> str:
@@ -134,7 +179,7 @@ def read_labels(
     """
     Read the labels of a file, or of the label files directly in a folder.
 
-    The call raises errors in the arguments; files are read one by one during iteration.
+    Errors in the arguments are raised by the call; files are read one by one during iteration.
 
     Parameters
     ----------
@@ -146,8 +191,8 @@ def read_labels(
         Width and height in pixels of every image. By default from the labels or, in formats with
         normalised coordinates, from the image files.
     on_error : callable, optional
-        Called with the LabelError of each malformed record, which is then skipped; a file that
-        cannot be used as a whole counts as one record. By default the first error is raised.
+        Gets the LabelError of each malformed record, which is then skipped; a file that cannot be
+        used as a whole counts as one record. By default the first error is raised.
 
     Returns
     -------
@@ -177,21 +222,7 @@ def read_labels(
     >>> labels.corners.tolist()
     [[[10.0, 20.0], [50.0, 20.0], [50.0, 30.0], [10.0, 30.0]]]
     """
-    path = Path(path)
-    size = None if image_size is None else _checked_size(image_size)
-    chosen = format_named(format or detect_format(path))
-    files = label_files(path, chosen.suffixes)
-    return _read_files(files, chosen, size, on_error or raise_error)
-
-
-def _read_files(
-    files: Sequence[Path], chosen: Format, size: ImageSize | None, on_error: OnError
-) -> Iterator[ImageLabels]:
-    for file in files:
-        try:
-            yield from chosen.read(LabelFile(file, size, on_error))
-        except FileError as error:
-            on_error(error)
+    return find_labels(Path(path), format).read(image_size, on_error)
 
 
 def _checked_size(image_size: tuple[int, int]) -> ImageSize:
@@ -218,9 +249,9 @@ def write_labels(
     Parameters
     ----------
     path : path-like
-        File or folder; missing folders are made. In a folder each image gets a file, named after
-        it without folder and image suffix; files of other images stay. A single image may also be
-        written to a file.
+        File or folder; missing folders are created. In a folder each image gets a file, named
+        after it without folder and image suffix; files of other images stay. A single image may
+        also be written to a file.
     images : iterable of ImageLabels
         The images.
     format : str, optional
@@ -247,7 +278,7 @@ def write_labels(
     P0706,,ship,10.0,20.0,50.0,20.0,50.0,30.0,10.0,30.0,,,,,
     """
     path = Path(path)
-    able = [each for each in FORMATS.values() if each.write is not None]
+    able = [entry for entry in FORMATS.values() if entry.write is not None]
     write = _format_to_write(path, format, able, 'oriented boxes').write
     assert write is not None
     checked = list(images)
@@ -264,8 +295,8 @@ def write_boxes(
     """
     Write axis-aligned boxes to a file or, in formats with one file per image, to a folder.
 
-    Parameters and errors are those of `write_labels`; it is also an error if the format cannot
-    hold the diagnostics that are given. Names, ids and scores that it cannot hold are left out.
+    Parameters and errors are those of `write_labels`; it is also an error if the images have
+    diagnostics and the format cannot hold them. Names, ids and scores it cannot hold are left out.
 
     Examples
     --------
@@ -293,18 +324,18 @@ def write_boxes(
 
 def box_format(path: Path, name: str | None, diagnosed: bool = False) -> Format:
     """Choose the format that `write_boxes` writes, or raise its ValueError."""
-    able = [each for each in FORMATS.values() if each.write_boxes is not None]
+    able = [entry for entry in FORMATS.values() if entry.write_boxes is not None]
     chosen = _format_to_write(path, name, able, 'axis-aligned boxes')
     if diagnosed and not chosen.holds_diagnostics:
-        able = [each for each in able if each.holds_diagnostics]
+        able = [entry for entry in able if entry.holds_diagnostics]
         raise ValueError(f'label format {chosen.name!r} cannot hold diagnostics: use {names(able)}')
     return chosen
 
 
 def _format_to_write(path: Path, name: str | None, able: list[Format], what: str) -> Format:
     if name is None:
-        # A suffix of two formats belongs to the one that lists it first.
-        fitting = [each for each in able if _suffix(path) == each.suffixes[0]]
+        # A suffix of two formats belongs to the one whose first suffix it is.
+        fitting = [entry for entry in able if _suffix(path) == entry.suffixes[0]]
         if len(fitting) != 1:
             raise ValueError(f'{path}: give the label format to write: {names(able)}')
         return fitting[0]
@@ -320,7 +351,9 @@ def _check(labels: ImageLabels) -> None:
     for name, values in columns.items():
         if not np.isfinite(values).all():
             raise ValueError(f'image {labels.image!r}: {name} has a value that is not finite')
-    for hull in (each for each in labels.hulls if each is not None):
+    for hull in labels.hulls:
+        if hull is None:
+            continue
         try:
             check_coordinates(hull)
         except ValueError as error:

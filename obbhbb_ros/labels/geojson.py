@@ -8,11 +8,11 @@ GeoJSON: a FeatureCollection of polygons, one ship per feature.
       {"type": "Feature", "id": 7, "properties": {"image": "P0706", "class": "ship", "score": 0.9},
        "geometry": {"type": "Polygon", "coordinates": [[[284, 466], [274, 456], [300, 427]]]}}]}
 
-All coordinates are read as pixels; their reference system is neither read nor
-written. Boxes are aligned with its axes, and both axes need the same unit: metres or pixels, not
-degrees. The oriented box is the minimum rotated rectangle of the polygon, or of all parts of a
-multi-polygon. Features that name no image belong to an image named after the file. Images without
-boxes have no feature: a file without features is read as one image without boxes.
+All coordinates are read as pixels; their reference system is neither read nor written. Boxes are
+aligned with its axes, and both axes need the same unit: metres or pixels, not degrees. The oriented
+box is the minimum rotated rectangle of the polygon, or of all parts of a multi-polygon. Features
+that name no image belong to an image named after the file. Images without boxes have no feature: a
+file without features is read as one image without boxes.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ POLYGONS = ('Polygon', 'MultiPolygon')
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
-    features = numbered('features', _released(_features(file, read_json(file, _shorten))))
-    records = file.parse_each(features, partial(_record, file.path.stem))
+    features = numbered('features', _consumed(_features(file, read_json(file, _shorten))))
+    records = file.parse_records(features, partial(_record, file.path.stem))
     return file.images(shapes.enclose(file, records) or {file.path.stem: []})
 
 
@@ -51,7 +51,7 @@ def _shorten(member: dict[str, Any]) -> dict[str, Any]:
         try:
             member['coordinates'] = _outer_rings(member)
         except ValueError as error:
-            # Raised later, when it is known which feature it is.
+            # Raised by `_rings`, which knows the feature.
             member['coordinates'] = error
     return member
 
@@ -59,7 +59,7 @@ def _shorten(member: dict[str, Any]) -> dict[str, Any]:
 def _outer_rings(geometry: dict[str, Any]) -> list[FloatArray]:
     coordinates = json_member(geometry, 'coordinates')
     polygons = [coordinates] if geometry['type'] == 'Polygon' else coordinates
-    if not isinstance(polygons, list) or not all(isinstance(each, list) for each in polygons):
+    if not isinstance(polygons, list) or not all(isinstance(rings, list) for rings in polygons):
         raise ValueError("'coordinates' is not an array of rings")
     # The first ring is the outer one, the others are holes.
     return [shapes.ring_of(polygon[0]) for polygon in polygons if polygon]
@@ -74,8 +74,8 @@ def _features(file: LabelFile, document: Any) -> list[Any]:
     return list(document['features'])
 
 
-def _released(features: list[Any]) -> Iterator[Any]:
-    """Release each feature after use, so that a large file is in memory only once."""
+def _consumed(features: list[Any]) -> Iterator[Any]:
+    """Yield the features and forget them, so that a large file is in memory only once."""
     for index, feature in enumerate(features):
         features[index] = None
         yield feature

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The images that labels belong to: where they are, their size and pixels. Reading needs Pillow."""
+"""The image files that labels belong to: path, size and pixels. Reading them needs Pillow."""
 
 from __future__ import annotations
 
@@ -20,31 +20,30 @@ from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.image_labels import ImageSize
 from obbhbb_ros.labels.label_file import LabelError
 
-# 32768 x 32768; three bytes each are 3 GB.
+# 32768 x 32768: 3 GB at three bytes per pixel.
 MAX_PIXELS = 2**30
 EXIF_ORIENTATION = 0x0112
 EXIF_TURNED = (5, 6, 7, 8)
 _EXACT_MODES = {'L': 'mono8', 'RGB': 'rgb8', 'RGBA': 'rgba8', 'I;16': 'mono16'}
-# Pillow before 10.3 has these for grey images of 16 bits.
+# Modes of grey images of 16 bits in Pillow before 10.3.
 _WIDER_MODES = ('I', 'I;16B', 'I;16L')
 
 
 def find_images(labels: Sequence[ImageLabels]) -> list[Path | None]:
     """
-    Find the image file of each of some labels, None where there is none.
+    Find the image files that labels belong to; None for those without one.
 
-    It is beside the label file, or in images/ where that is in labels/, and has the name of the
+    An image is beside the label file, or in images/ if that is in labels/. It has the name of the
     image, or the stem of a label file that holds only this image.
     """
-    images_in = Counter(each.source for each in labels)
-    found = []
-    for each in labels:
-        stem = bare_name(each.image)
-        path = _image_of(each.source, stem) if stem else None
-        if path is None and images_in[each.source] == 1:
-            path = _image_of(each.source, each.source.stem)
-        found.append(path)
-    return found
+    images_in = Counter(image.source for image in labels)
+    return [_find_image(image, images_in[image.source] == 1) for image in labels]
+
+
+def _find_image(labels: ImageLabels, only_one: bool) -> Path | None:
+    stem = bare_name(labels.image)
+    path = _image_of(labels.source, stem) if stem else None
+    return _image_of(labels.source, labels.source.stem) if path is None and only_one else path
 
 
 def _image_of(labels: Path, stem: str) -> Path | None:
@@ -82,14 +81,14 @@ def stored_size(labels: Path) -> ImageSize:
         message = f'reading the size of {image} needs Pillow, which is not installed'
         raise LabelError(labels, None, message) from None
     except Exception as error:
-        # Any exception: Pillow's readers raise whatever a damaged file leads them to.
+        # Any exception: Pillow raises errors of many kinds for damaged files.
         raise LabelError(labels, None, f'cannot read {image} ({error})') from error
 
 
 def _shown_size(path: Path) -> ImageSize:
     with opened_image(path) as image:
         width, height = image.size
-        # Only for JPEG: for other formats Pillow may decode the whole image to find it.
+        # Only JPEG: with other formats Pillow may decode the whole image to find the tag.
         turned = image.format == 'JPEG' and image.getexif().get(EXIF_ORIENTATION) in EXIF_TURNED
     return (height, width) if turned else (width, height)
 

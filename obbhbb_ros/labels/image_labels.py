@@ -57,8 +57,8 @@ class ImageLabels:
     source : Path
         The file the labels came from.
     bow : ndarray of bool or None
-        Which labels say where the bow is, shape (N,): the first two corners are the bow end. None
-        if none does.
+        Which labels say where the bow is, shape (N,): there the first two corners are the bow end.
+        None if no label does.
 
     Raises
     ------
@@ -80,27 +80,24 @@ class ImageLabels:
     def __post_init__(self) -> None:
         """Check that all fields have the same number of boxes."""
         count = len(self.class_ids)
-        wanted = {
-            'corners': (count, 4, 2),
-            'scores': (count,),
-            'reference': (count, 4),
-            'bow': (count,),
-        }
-        for name, shape in wanted.items():
-            values = getattr(self, name)
-            got = shape if values is None else values.shape
-            if got != shape:
-                raise ValueError(f'{name} has shape {got}, not {shape} for {count} class_ids')
-        for name, values in (('ids', self.ids), ('hulls', self.hulls)):
-            if len(values) != count:
-                raise ValueError(f'{name} has {len(values)} entries for {count} class_ids')
+        arrays = {'corners': (4, 2), 'scores': (), 'reference': (4,)}
+        if self.bow is not None:
+            arrays['bow'] = ()
+        for name, row_shape in arrays.items():
+            actual, shape = getattr(self, name).shape, (count, *row_shape)
+            if actual != shape:
+                raise ValueError(f'{name} has shape {actual}, not {shape} for {count} class_ids')
+        for name in ('ids', 'hulls'):
+            if (entries := len(getattr(self, name))) != count:
+                raise ValueError(f'{name} has {entries} entries for {count} class_ids')
 
     def boxes(self, bow: BowSource = 'none') -> OrientedBoxes:
         """
         Return the oriented boxes.
 
-        The bow is known where the labels say so (`labels`), at the first two corners of every box
-        (`first-edge`), or nowhere (`none`). Where these are a long side it is not known.
+        `bow` says where the bow is known: where the labels say so (`labels`), at the first two
+        corners of every box (`first-edge`), or nowhere (`none`). It is also unknown where the first
+        two corners are a long side.
         """
         if bow not in BOW_SOURCES:
             raise ValueError(f'bow must be one of {", ".join(BOW_SOURCES)}, not {bow!r}')
@@ -110,7 +107,7 @@ class ImageLabels:
 
 
 class BoxRow(NamedTuple):
-    """One axis-aligned box in Python numbers; a diagnostic that is not known is None."""
+    """One axis-aligned box in Python numbers; an unknown diagnostic is None."""
 
     xyxy: list[float]
     class_id: str
@@ -151,25 +148,27 @@ class ImageBoxes:
     def __post_init__(self) -> None:
         """Check that all fields have the same number of boxes, and that these are finite."""
         count = len(self.class_ids)
-        given = [len(self.ids), len(self.scores), len(self.xyxy)]
+        lengths = {len(self.ids), len(self.scores)}
         if self.diagnostics is not None:
-            given.append(len(self.diagnostics.length))
-        if given != [count] * len(given) or self.xyxy.shape != (count, 4):
+            lengths.add(len(self.diagnostics.length))
+        if lengths != {count} or self.xyxy.shape != (count, 4):
             raise ValueError(f'image {self.image!r}: fields do not agree on the number of boxes')
         if not (np.isfinite(self.xyxy).all() and np.isfinite(self.scores).all()):
             raise ValueError(f'image {self.image!r}: a box has a value that is not finite')
 
     def rows(self) -> Iterator[BoxRow]:
-        """Go through the boxes, with the six diagnostics or with none."""
+        """Iterate over the boxes, with the six diagnostics or with none."""
         names = () if self.diagnostics is None else DIAGNOSTICS
         columns = {name: getattr(self.diagnostics, name).tolist() for name in names}
         rows = zip(self.xyxy.tolist(), self.class_ids, self.ids, self.scores.tolist(), strict=True)
         for index, row in enumerate(rows):
-            yield BoxRow(*row, {name: _known(values[index]) for name, values in columns.items()})
+            yield BoxRow(
+                *row, {name: _none_if_nan(values[index]) for name, values in columns.items()}
+            )
 
 
-def _known(value: Value) -> Value:
-    # Methods that touch no curve have no t_x: NaN, which JSON cannot hold.
+def _none_if_nan(value: Value) -> Value:
+    # Methods without a curve have t_x NaN, which JSON cannot hold.
     return None if value != value else value  # noqa: PLR0124
 
 

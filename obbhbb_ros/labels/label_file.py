@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from typing import NamedTuple
 from typing import NoReturn
+from typing import TypeAlias
 from typing import TypeVar
 
 import numpy as np
@@ -25,6 +26,9 @@ from obbhbb_ros.labels.image_labels import ImageSize
 NO_REFERENCE = (float('nan'),) * 4
 
 Item = TypeVar('Item')
+
+Record: TypeAlias = tuple[int | None, str, Item]
+"""The line of a record, where there is one, the start of its error messages, and the record."""
 
 
 class LabelError(ObbhbbError, ValueError):
@@ -61,7 +65,7 @@ OnError = Callable[[LabelError], None]
 
 
 def raise_error(error: LabelError) -> NoReturn:
-    """Raise the error: the default of `on_error`."""
+    """Raise the error; the default of `on_error`."""
     # Without the ValueError of the parser as its cause, which has the same message.
     raise error from None
 
@@ -88,8 +92,14 @@ class LabelFile:
     """
     A label file that is being read.
 
-    `image_size` is width and height of every image in pixels, as the caller gave it; `on_error`
-    gets a LabelError for each malformed record, which is left out.
+    Attributes
+    ----------
+    path : Path
+        The file.
+    image_size : tuple of int or None
+        Width and height of every image in pixels, if the caller gave it.
+    on_error : callable
+        Gets a LabelError for each malformed record, which is left out.
     """
 
     path: Path
@@ -97,17 +107,13 @@ class LabelFile:
     on_error: OnError
 
     def error(self, message: str, line: int | None = None) -> FileError:
-        """Make the error to raise if the file as a whole cannot be used."""
+        """Return the error to raise if the file as a whole cannot be used."""
         return FileError(self.path, line, message)
 
-    def parse_each(
-        self, records: Iterable[tuple[int | None, str, Any]], parse: Callable[[Any], Item]
-    ) -> Iterator[tuple[int | None, str, Item]]:
-        """
-        Parse records one by one, and report and skip those for which `parse` raises ValueError.
-
-        Records come and go with their line, where known, and the start of an error message.
-        """
+    def parse_records(
+        self, records: Iterable[Record[Any]], parse: Callable[[Any], Item]
+    ) -> Iterator[Record[Item]]:
+        """Parse records one by one; report and skip those for which `parse` raises ValueError."""
         for line, place, record in records:
             try:
                 item = parse(record)
@@ -117,16 +123,16 @@ class LabelFile:
                 yield line, place, item
 
     def image(self, name: str, boxes: Sequence[Box], size: ImageSize | None = None) -> ImageLabels:
-        """Gather the boxes of an image; `size` is used if the caller gave no `image_size`."""
+        """Collect the boxes of an image; `size` is used if the caller gave no `image_size`."""
         return assemble(name, boxes, self.image_size or size, self.path)
 
     def images(self, boxes: Mapping[str, Sequence[Box]]) -> Iterator[ImageLabels]:
-        """Gather the boxes of images by name."""
-        return (self.image(name, each) for name, each in boxes.items())
+        """Collect the boxes of images by name."""
+        return (self.image(name, rows) for name, rows in boxes.items())
 
 
 def assemble(image: str, boxes: Sequence[Box], size: ImageSize | None, source: Path) -> ImageLabels:
-    """Gather the N boxes of an image into arrays of N rows, 0 included."""
+    """Collect the N boxes of an image, which may be none, in arrays of N rows."""
     return ImageLabels(
         image=image,
         corners=np.array([box.corners for box in boxes], np.float64).reshape(-1, 4, 2),

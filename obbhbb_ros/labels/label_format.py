@@ -27,8 +27,8 @@ class Format:
     summary : str
         One line for help texts.
     sniff : callable
-        ``sniff(head)`` returns whether the beginning of a file fits this format, and no other with
-        the same suffix.
+        ``sniff(head)`` returns whether the beginning of a file fits this format and no other one
+        with the same suffix.
     read : callable
         ``read(file)`` returns the images of a `LabelFile`. It passes malformed records to its
         `on_error`, and raises its `error` if the file as a whole cannot be used.
@@ -54,4 +54,4 @@ class Format:
 
 def names(formats: Iterable[Format]) -> str:
     """List formats for a message: ``csv (.csv), dota (.txt)``."""
-    return ', '.join(f'{each.name} ({", ".join(each.suffixes)})' for each in formats)
+    return ', '.join(f'{entry.name} ({", ".join(entry.suffixes)})' for entry in formats)

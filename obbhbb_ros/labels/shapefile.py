@@ -51,7 +51,7 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
         (None, f'feature {index}: ', feature)
         for index, feature in enumerate(zip(fields, geometries, strict=True))
     )
-    records = file.parse_each(features, partial(_record, file.path.stem))
+    records = file.parse_records(features, partial(_record, file.path.stem))
     return file.images(shapes.enclose(file, records) or {file.path.stem: []})
 
 

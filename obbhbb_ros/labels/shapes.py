@@ -27,6 +27,7 @@ from obbhbb_ros.labels.label_file import NO_REFERENCE
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_file import Record
 from obbhbb_ros.labels.text import parse_score
 
 Corners = tuple[float, float, float, float, float, float, float, float]
@@ -104,7 +105,7 @@ def _check_size(width: float, height: float) -> None:
 
 class Outlined(NamedTuple):
     """
-    A record with a box or, if there are rings, with the polygons to compute its corners from.
+    A record with a box or, if there are rings, with the polygons that the box is computed from.
 
     `image` identifies the image in the file. `rings` are the outer rings of the ship's polygons,
     each of shape (K, 2), closed or not.
@@ -145,7 +146,7 @@ def outer_rings(geometry: Any) -> list[FloatArray]:
 
 
 def check_coordinates(points: FloatArray) -> None:
-    """Raise ValueError for a coordinate not finite, or so large that GEOS crashes or never ends."""
+    """Raise ValueError if a coordinate is not finite, or so large that GEOS crashes or hangs."""
     defect = range_defect(points)
     if defect != Defect.NONE:
         raise ValueError(PROBLEMS[defect])
@@ -155,9 +156,9 @@ def feature_record(
     default_image: str, properties: Mapping[str, Any], rings: Sequence[FloatArray]
 ) -> Outlined:
     """
-    Make a record of a geographic feature with the outer rings of its polygons.
+    Turn a geographic feature into a record; `rings` are the outer rings of its polygons.
 
-    Properties that are not known are ignored; if they name no image, it is `default_image`. Raises
+    Unknown properties are ignored; without the name of an image, it is `default_image`. Raises
     ValueError if there is no ring, or the score is not a number.
     """
     if not rings:
@@ -179,23 +180,20 @@ def _first(properties: Mapping[str, Any], names: Sequence[str]) -> str:
     return ''
 
 
-def enclose(
-    file: LabelFile, records: Iterable[tuple[int | None, str, Outlined]]
-) -> dict[str, list[Box]]:
+def enclose(file: LabelFile, records: Iterable[Record[Outlined]]) -> dict[str, list[Box]]:
     """
     Compute the minimum rotated rectangle of the rings of each record.
 
     Several rings are one partly hidden ship: its hull is the convex hull of them all. A ring of
-    four corners is a box, and not a hull. If it is an upright rectangle it is also the reference
-    box, unless the record has one. Records whose rings have no rectangle are
-    reported and left out.
+    four corners is a box, not a hull; if it is an upright rectangle, it is also the reference box,
+    unless the record has one. Records whose rings have no rectangle are reported and left out.
 
     Parameters
     ----------
     file : LabelFile
         The file.
-    records : iterable of (int or None, str, Outlined)
-        As from `LabelFile.parse_each`. Only a block of rings is held at a time.
+    records : iterable of Record
+        As `LabelFile.parse_records` yields them. Only a block of them is in memory at a time.
 
     Returns
     -------
@@ -210,19 +208,17 @@ def enclose(
     return images
 
 
-def _enclosed(
-    file: LabelFile, block: Sequence[tuple[int | None, str, Outlined]]
-) -> Iterator[tuple[str, Box]]:
+def _enclosed(file: LabelFile, block: Sequence[Record[Outlined]]) -> Iterator[tuple[str, Box]]:
     drawn = [record for _, _, record in block if record.rings]
     with np.errstate(over='ignore', invalid='ignore'):
         boxes = OrientedBoxes.from_polygons(np.concatenate(record.rings) for record in drawn)
     complete = _with_hulls([drawn[row] for row in np.flatnonzero(boxes.valid)])
-    found = zip(boxes.defects.tolist(), boxes.corners.reshape(-1, 8).tolist(), strict=True)
+    results = zip(boxes.defects.tolist(), boxes.corners.reshape(-1, 8).tolist(), strict=True)
     for line, place, record in block:
         if not record.rings:
             yield record.image, record.box
             continue
-        defect, corners = next(found)
+        defect, corners = next(results)
         if defect == Defect.NONE:
             yield record.image, next(complete)._replace(corners=corners)
         else:
@@ -248,9 +244,9 @@ def _with_hulls(records: Sequence[Outlined]) -> Iterator[Box]:
 
 
 def _outlines(ships: Sequence[Sequence[FloatArray]]) -> Any:
-    """Make polygons of the rings of ships: of one ring as it is, of several their convex hull."""
+    """Turn the rings of each ship into a polygon: one ring as it is, several as a convex hull."""
     points = [np.concatenate(rings) for rings in ships]
-    owner = np.repeat(np.arange(len(points)), [len(each) for each in points])
+    owner = np.repeat(np.arange(len(points)), [len(ring) for ring in points])
     outlines = shapely.polygons(shapely.linearrings(np.concatenate(points), indices=owner))
     several = np.array([len(rings) > 1 for rings in ships])
     outlines[several] = shapely.convex_hull(outlines[several])

@@ -15,14 +15,15 @@ from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_file import OnError
+from obbhbb_ros.labels.label_file import Record
 
 
 def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
     """
     Read the lines of a UTF-8 file, with or without BOM, ended by LF, CRLF or CR.
 
-    Yields line numbers, counted from 1, and lines without their ends. `on_error` gets a LabelError
-    for each line that is not UTF-8, and only this line is left out.
+    Yields line numbers, counted from 1, and lines without their ends. A line that is not UTF-8 is
+    left out, and `on_error` gets a LabelError for it.
     """
     data = path.read_bytes().removeprefix(codecs.BOM_UTF8)
     for number, raw in enumerate(data.splitlines(), start=1):
@@ -42,12 +43,12 @@ def read_boxes(file: LabelFile, parse: Callable[[str], Box | None]) -> list[Box]
     `parse` gets a line and returns a Box, or None if the line holds no box. It raises ValueError if
     the line is malformed.
     """
-    boxes = (box for _, _, box in file.parse_each(filled_lines(file), parse))
+    boxes = (box for _, _, box in file.parse_records(filled_lines(file), parse))
     return [box for box in boxes if box is not None]
 
 
-def filled_lines(file: LabelFile) -> Iterator[tuple[int, str, str]]:
-    """Read the lines that are not blank, as `LabelFile.parse_each` takes them."""
+def filled_lines(file: LabelFile) -> Iterator[Record[str]]:
+    """Read the lines that are not blank, as records for `LabelFile.parse_records`."""
     lines = text_lines(file.path, file.on_error)
     return ((number, '', line) for number, line in lines if line.strip())
 
@@ -58,8 +59,8 @@ def parse_numbers(fields: Iterable[str]) -> list[float]:
 
 
 def parse_number(field: str) -> float:
-    """Turn a field into a number; raise ValueError if it is none, NaN or infinite."""
-    # float() also takes Python's 1_000, which no label format knows.
+    """Turn a field into a number; raise ValueError if it is not one, NaN or infinite."""
+    # float() also accepts Python's 1_000, which no label format has.
     try:
         value = float('' if '_' in field else field)
     except ValueError:

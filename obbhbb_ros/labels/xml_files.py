@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-HRSC2016 and Pascal-VOC XML: one file per image, in pixels as they stand in the file.
+HRSC2016 and Pascal-VOC XML: one file per image, in pixels as the file has them.
 
 HRSC2016 has the oriented and the axis-aligned box of each ship::
 
@@ -36,7 +36,7 @@ Without a ``robndbox`` the upright box of ``bndbox`` is read. Difficulty and par
 not read. The image is named after the label file, since ``filename`` is often that of another
 image.
 
-Coordinates are written to VOC with their fractions, which conversion is done for; ``size`` is
+Coordinates are written to VOC with their fractions: rounding would undo the conversion. ``size`` is
 written if it is known. VOC has no ids and scores: these are not written.
 """
 
@@ -54,7 +54,7 @@ from xml.parsers import expat
 
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels.documents import image_size_of
-from obbhbb_ros.labels.folders import write_each
+from obbhbb_ros.labels.folders import write_per_image
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.label_file import NO_REFERENCE
@@ -75,7 +75,7 @@ VOC_CORNERS = (
     'x_right_bottom', 'y_right_bottom', 'x_left_bottom', 'y_left_bottom',
 )  # fmt: skip
 NOT_IN_XML = re.compile('[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]')
-# After an error in a handler the parser continues to the end of the block.
+# After an error in a handler the parser still reads to the end of the block.
 BLOCK_BYTES = 65536
 
 
@@ -103,7 +103,7 @@ def _read_boxes(
         (lines[element], f'object {number}: ', element)
         for number, element in enumerate(root.findall(objects), start=1)
     )
-    return root, [box for _, _, box in file.parse_each(records, parse)]
+    return root, [box for _, _, box in file.parse_records(records, parse)]
 
 
 def _parse_xml(file: LabelFile) -> tuple[Element, dict[Element, int]]:
@@ -118,7 +118,7 @@ def _parse_xml(file: LabelFile) -> tuple[Element, dict[Element, int]]:
         lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
 
     def refuse(*_: object) -> None:
-        # Label files have none, and its entities may expand to gigabytes or read other files.
+        # Label files have none; its entities could expand to gigabytes or read other files.
         raise ValueError('a document type declaration (DOCTYPE) is not accepted')
 
     parser.StartElementHandler = start
@@ -138,10 +138,10 @@ def _parse_xml(file: LabelFile) -> tuple[Element, dict[Element, int]]:
 
 
 def _parse_hrsc(element: Element) -> Box:
-    given = _has_any(element, HRSC_BOUNDS)
-    reference = _numbers(element, HRSC_BOUNDS) if given else NO_REFERENCE
+    bounded = _has_any(element, HRSC_BOUNDS)
+    reference = _numbers(element, HRSC_BOUNDS) if bounded else NO_REFERENCE
     bow = False
-    if _has_any(element, HRSC_ORIENTED) or not given:
+    if _has_any(element, HRSC_ORIENTED) or not bounded:
         corners = shapes.oriented_corners(*_numbers(element, HRSC_ORIENTED))
         if (head := _head(element)) is not None:
             corners, bow = shapes.bow_first(corners, head)
@@ -155,9 +155,9 @@ def _head(element: Element) -> tuple[float, float] | None:
     try:
         x, y = _numbers(element, HRSC_HEAD)
     except ValueError:
-        # The box is good without it.
+        # The box is valid without it.
         return None
-    # Where nobody marked it, the data set has 0, 0.
+    # The data set has 0, 0 for ships without a marked head.
     return (x, y) if (x, y) != (0.0, 0.0) else None
 
 
@@ -201,7 +201,7 @@ def _numbers(element: Element, tags: Sequence[str]) -> list[float]:
 
 
 def _write_voc(path: Path, images: list[ImageBoxes]) -> None:
-    write_each(path, images, '.xml', _voc_document)
+    write_per_image(path, images, '.xml', _voc_document)
 
 
 def _voc_document(image: ImageBoxes) -> list[str]:

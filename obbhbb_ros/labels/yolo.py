@@ -2,13 +2,13 @@
 """
 Ultralytics YOLO and YOLO-OBB: one text file per image, one box per line, as fractions of the image.
 
-YOLO has an axis-aligned box, which is read as an upright box and as its own reference box; YOLO-OBB
-has the corners of an oriented box::
+YOLO has an axis-aligned box, which is read as an upright box and as the reference box; YOLO-OBB has
+the corners of an oriented box::
 
     0 0.512 0.734 0.322 0.481
     0 0.780811 0.743961 0.782371 0.74686 0.777691 0.752174 0.776131 0.749758
 
-Predictions end with a confidence, those of a tracker with confidence and track id. A file
+Predictions end with a confidence; those of a tracker, with a confidence and a track id. A file
 ``classes.txt`` in the folder, one name per line, gives the names of the class indices.
 
 The width and height of an image that has boxes must be given or are read from its image file.
@@ -121,7 +121,7 @@ def _class_names(folder: Path) -> list[str]:
 
 
 def _write(path: Path, images: list[AnyImage]) -> None:
-    """Write one file per image, after all of them are turned into lines."""
+    """Write one file per image, once all of them are turned into lines."""
     targets = target_files(path, images, '.txt')
     folder = path if not targets else targets[0][0].parent
     names = _numbered_names(folder, [name for image in images for name in image.class_ids])
@@ -141,8 +141,8 @@ def _numbered_names(folder: Path, used: Iterable[str]) -> list[str]:
     for name in distinct:
         if not name or name != name.strip() or name.splitlines() != [name]:
             raise ValueError(f'class {name!r} cannot be a line of {CLASSES_FILE}')
-    known = _class_names(folder)
-    return known + [name for name in distinct if name not in known]
+    listed = _class_names(folder)
+    return listed + [name for name in distinct if name not in listed]
 
 
 def _lines(image: ImageLabels | ImageBoxes, numbers: Mapping[str, str]) -> list[str]:

@@ -240,11 +240,11 @@ def test_the_command_runs_as_a_program_and_is_quiet_in_a_pipe(source: Path, tmp_
 def test_a_box_that_overflows_is_left_out_for_that() -> None:
     huge = Box((-1e308, 0, 1e308, 0, 1e308, 1e308, -1e308, 1e308), 'ship')
     labels = assemble('P1', [huge, Box((0, 0, 4, 0, 4, 2, 0, 2), 'ship', 'b')], None, Path('x'))
-    converted, reasons = convert_image(labels, HullRule(s=2.0), diagnostics=True)
-    assert converted.ids == ('b',)
-    assert converted.diagnostics is not None
-    assert converted.diagnostics.length.tolist() == [4.0]
-    assert list(reasons) == [0]
+    converted = convert_image(labels, HullRule(s=2.0), diagnostics=True)
+    assert converted.boxes.ids == ('b',)
+    assert converted.boxes.diagnostics is not None
+    assert converted.boxes.diagnostics.length.tolist() == [4.0]
+    assert converted.left_out == {0: 'overflow'}
 
 
 def test_defects_are_counted_by_reason() -> None:
