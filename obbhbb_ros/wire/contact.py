@@ -3,16 +3,16 @@
 
 from __future__ import annotations
 
-from obbhbb_ros.wire.cdr import Message
-from obbhbb_ros.wire.cdr import steps_of
 from obbhbb_ros.wire.layouts import BOOL
+from obbhbb_ros.wire.struct_message import StructMessage
+from obbhbb_ros.wire.walk import steps_of
 
 _BOOL = steps_of(BOOL)
 
 
 def read_contact(data: bytes) -> bool:
     """
-    Read whether there is contact.
+    Read whether there is contact with the ground.
 
     Parameters
     ----------
@@ -29,4 +29,5 @@ def read_contact(data: bytes) -> bool:
     obbhbb_ros.wire.buffer.WireError
         If the bytes are no such message.
     """
-    return Message(data, _BOOL).bytes_at('data')[0] != 0
+    (value,) = StructMessage(data, _BOOL).numbers('data', 'B')
+    return bool(value)

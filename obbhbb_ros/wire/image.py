@@ -6,13 +6,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from obbhbb_ros.wire.buffer import WireError
-from obbhbb_ros.wire.cdr import Message
-from obbhbb_ros.wire.cdr import steps_of
 from obbhbb_ros.wire.layouts import CAMERA_INFO
 from obbhbb_ros.wire.layouts import IMAGE
+from obbhbb_ros.wire.stamp import Stamp
+from obbhbb_ros.wire.struct_message import StructMessage
+from obbhbb_ros.wire.walk import steps_of
 
 IMAGE_SIZE_LIMIT = 1_000_000
-"""Maximum width and height of an image that is planned for, pixels."""
+"""Maximum width and height of an image for which crop regions are planned, pixels."""
 
 _IMAGE = steps_of(IMAGE)
 _CAMERA_INFO = steps_of(CAMERA_INFO)
@@ -25,21 +26,21 @@ class WireImage:
 
     Attributes
     ----------
-    stamp : tuple of int
-        Seconds and nanoseconds.
+    stamp : Stamp
+        The header's stamp.
     frame_id, encoding : str
-        As in the message; bytes that are no UTF-8 are escaped.
+        As in the message; bytes that are not UTF-8 are escaped.
     width, height : int
         Pixels.
     step : int
         Bytes from one row to the next.
     is_bigendian : bool
-        Order of the bytes in a pixel.
+        Whether the bytes of a pixel's number are in big-endian order.
     data : memoryview
         The pixels, a view into the bytes that the message was read from.
     """
 
-    stamp: tuple[int, int]
+    stamp: Stamp
     frame_id: str
     encoding: str
     width: int
@@ -69,17 +70,17 @@ def read_image(data: bytes) -> WireImage:
     WireError
         If the bytes are no such message.
     """
-    message = Message(data, _IMAGE)
-    height, width = message.integers('height', 2)
+    message = StructMessage(data, _IMAGE)
+    height, width = message.numbers('height', '2I')
     return WireImage(
         stamp=message.stamp,
         frame_id=message.text('header.frame_id'),
         encoding=message.text('encoding'),
         width=width,
         height=height,
-        step=message.integers('step')[0],
-        is_bigendian=message.bytes_at('is_bigendian')[0] != 0,
-        data=message.octets('data'),
+        step=message.numbers('step', 'I')[0],
+        is_bigendian=message.numbers('is_bigendian', 'B')[0] != 0,
+        data=message.content('data'),
     )
 
 
@@ -102,9 +103,9 @@ def read_image_size(data: bytes) -> tuple[int, int]:
     WireError
         If the bytes are no such message, or a side is longer than `IMAGE_SIZE_LIMIT`.
     """
-    message = Message(data, _CAMERA_INFO)
-    height, width = message.integers('height', 2)
-    binning_x, binning_y, _, _, roi_height, roi_width = message.integers('binning_x', 6)
+    message = StructMessage(data, _CAMERA_INFO)
+    height, width = message.numbers('height', '2I')
+    binning_x, binning_y, _, _, roi_height, roi_width = message.numbers('binning_x', '6I')
     if roi_width and roi_height:
         width, height = roi_width, roi_height
     width, height = width // max(binning_x, 1), height // max(binning_y, 1)

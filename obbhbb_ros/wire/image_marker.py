@@ -2,27 +2,31 @@
 """
 `visualization_msgs/ImageMarker`, written to bytes.
 
-rclpy spends several microseconds on the object of each point, and a box has eight of them.
+rclpy spends several microseconds on the object of each point, and a box has eight points.
 """
 
 from __future__ import annotations
 
 import struct
-from typing import TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from obbhbb_ros.wire.cdr import LITTLE_ENDIAN
+from obbhbb_ros.wire.buffer import LITTLE_ENDIAN
+from obbhbb_ros.wire.stamp import Stamp
+from obbhbb_ros.wire.writing import header_bytes
+from obbhbb_ros.wire.writing import padding
+from obbhbb_ros.wire.writing import text_bytes
 
-FloatArray: TypeAlias = NDArray[np.float64]
+if TYPE_CHECKING:
+    from obbhbb_ros.geometry.boxes import FloatArray
 
 _LINE_LIST = 2
 _ADD = 0
 
 
 def line_list(
-    stamp: tuple[int, int],
+    stamp: Stamp,
     frame_id: str,
     layer: tuple[str, int],
     segments: FloatArray,
@@ -34,10 +38,10 @@ def line_list(
 
     Parameters
     ----------
-    stamp : tuple of int
-        Seconds and nanoseconds.
+    stamp : Stamp
+        Stamp of the image.
     frame_id : str
-        As in the image.
+        Frame id of the image.
     layer : tuple of str and int
         Namespace and id of the marker.
     segments : ndarray, shape (M, 2, 2)
@@ -45,7 +49,7 @@ def line_list(
     color : str
         '#rrggbb'.
     width : float
-        Of the lines, pixels.
+        Width of the lines, pixels.
 
     Returns
     -------
@@ -54,33 +58,15 @@ def line_list(
     """
     namespace, number = layer
     rgba = *(int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5)), 1.0
-    body = bytearray(struct.pack('<iI', *stamp))
-    _add_text(body, frame_id)
-    _add_text(body, namespace)
-    _align(body, 4)
+    points = np.pad(segments.reshape(-1, 2).astype('<f8'), ((0, 0), (0, 1)))
+    body = header_bytes(stamp, frame_id) + text_bytes(namespace.encode())
     body += struct.pack('<3i', number, _LINE_LIST, _ADD)
-    _align(body, 8)
-    body += struct.pack('<3d', 0.0, 0.0, 0.0)
-    body += struct.pack('<f4fB3x4f', width, *rgba, 0, *rgba)
-    # For ever, that is until the next marker of the layer.
-    body += struct.pack('<iI', 0, 0)
-    points = segments.reshape(-1, 2)
+    # Position, scale, outline colour, filled, fill colour. A lifetime of 0 lasts until the next
+    # marker of the layer.
+    body += padding(len(body)) + struct.pack('<3d', 0.0, 0.0, 0.0)
+    body += struct.pack('<f4fB3x4f', width, *rgba, 0, *rgba) + struct.pack('<iI', 0, 0)
     body += struct.pack('<I', len(points))
     if len(points):
-        _align(body, 8)
-        body += np.hstack((points, np.zeros((len(points), 1)))).astype('<f8').tobytes()
-    # No colours of single lines.
-    body += struct.pack('<I', 0)
-    return LITTLE_ENDIAN + bytes(body)
-
-
-def _add_text(body: bytearray, text: str) -> None:
-    """Add a string."""
-    content = text.encode() + b'\0'
-    _align(body, 4)
-    body += struct.pack('<I', len(content)) + content
-
-
-def _align(body: bytearray, size: int) -> None:
-    """Fill up to a multiple of some bytes."""
-    body += bytes(-len(body) % size)
+        body += padding(len(body)) + points.tobytes()
+    # No outline colours of single lines.
+    return LITTLE_ENDIAN + body + struct.pack('<I', 0)

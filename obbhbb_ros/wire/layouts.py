@@ -1,21 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The messages that are read and written here, as descriptions; and what their fields mean.
+Descriptions of the messages that this package reads, and what their fields mean.
 
-To read one more type of detections: describe it, and add an `InputType` that says which of its
-fields are which.
+To read one more type of detections, describe it here, and add an `InputType` that names the fields
+with class, score, id and box.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from dataclasses import field
+from functools import cached_property
 
-from obbhbb_ros.wire.cdr import Array
-from obbhbb_ros.wire.cdr import Many
-from obbhbb_ros.wire.cdr import Numbers
-from obbhbb_ros.wire.cdr import Struct
-from obbhbb_ros.wire.cdr import Text
+from obbhbb_ros.wire.walk import Array
+from obbhbb_ros.wire.walk import Many
+from obbhbb_ros.wire.walk import Numbers
+from obbhbb_ros.wire.walk import Step
+from obbhbb_ros.wire.walk import Struct
+from obbhbb_ros.wire.walk import Text
+from obbhbb_ros.wire.walk import steps_of
 
 _UINT8 = Numbers(1)
 _INT32 = _UINT32 = Numbers(4)
@@ -108,23 +111,26 @@ class InputType:
         Default name of the topic.
     element : Struct
         A detection.
-    many : bool
-        Whether a message holds a sequence of them, or just one.
+    is_sequence : bool
+        Whether a message holds a sequence of detections, or just one.
     tail : Struct
-        What follows the detections.
+        Whatever follows the detections.
     points : str
         Path of the vertices, where a detection is a polygon.
-    class_id, score, id, box : str
-        Paths of these fields; of the box, that of its first number: x, y, theta, size along theta
-        and across it. A detection without them has no hypothesis, its place in the message as
-        id, and no box but that around its vertices.
+    class_id, score : str
+        Paths of these fields; without them, detections have no hypothesis.
+    id : str
+        Path of the id; without one, the id of a detection is its index in the message.
+    box : str
+        Path of the first number of the box: x, y, theta, size along theta, size across it.
+        Without one, the box is that around the vertices.
     """
 
     package: str
     name: str
     topic: str
     element: Struct
-    many: bool = True
+    is_sequence: bool = True
     tail: Struct = field(default_factory=dict)
     points: str = ''
     class_id: str = ''
@@ -132,10 +138,20 @@ class InputType:
     id: str = ''
     box: str = ''
 
+    @cached_property
+    def element_steps(self) -> list[Step]:
+        """The steps over a detection."""
+        return steps_of(self.element)
+
+    @cached_property
+    def tail_steps(self) -> list[Step]:
+        """The steps over whatever follows the detections."""
+        return steps_of(self.tail)
+
 
 INPUT_TYPES: dict[str, InputType] = {
-    each.name: each
-    for each in (
+    input_type.name: input_type
+    for input_type in (
         InputType(
             'vision_msgs',
             'Detection2DArray',
@@ -169,9 +185,9 @@ INPUT_TYPES: dict[str, InputType] = {
             'PolygonStamped',
             'polygons',
             POLYGON,
-            many=False,
+            is_sequence=False,
             points='polygon.points',
         ),
     )
 }
-"""What the node can subscribe to, by the name of the message type; the first is the default."""
+"""What `obb_to_hbb` can subscribe to, by name of the message type; the first is the default."""

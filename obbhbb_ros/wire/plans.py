@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Crop plans, read from the bytes of `vision_msgs/Detection2DArray`: what to cut, and from what."""
+"""Crop plans, read from the bytes of `vision_msgs/Detection2DArray`: what to cut, and why."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,24 +11,25 @@ import numpy as np
 
 from obbhbb_ros.wire.detections import ID_SEPARATOR
 from obbhbb_ros.wire.detections import Detections
-from obbhbb_ros.wire.detections import header_bytes
+from obbhbb_ros.wire.stamp import Stamp
+from obbhbb_ros.wire.writing import header_bytes
 
-# Beyond any image, and exact as a number of pixels.
-_FARTHEST = 2.0**52
+# Beyond any image, and still exact as a number of pixels.
+_MAX_COORDINATE = 2.0**52
 
 
 class Source(NamedTuple):
     """
-    Where a region comes from.
+    The detection that a crop region was planned for.
 
     Attributes
     ----------
     id : str
-        Id of the most valuable detection of the region.
+        Its id; the most valuable one, where there are several in the region.
     value : float
-        Value of the region; 0 where it has none.
+        Value of the region; 0 if it has none.
     obb : tuple of float
-        Centre x and y, length and width (pixels), theta (radians) of its most valuable detection.
+        Its centre x and y, length and width (pixels), theta (radians).
     """
 
     id: str
@@ -46,15 +48,14 @@ class WirePlan:
 
     Attributes
     ----------
-    stamp : tuple of int
-        Seconds and nanoseconds.
+    stamp : Stamp
+        The header's stamp.
     regions : list of tuple of int
-        x0, y0, x1, y1 in whole pixels, a region's parts of pixels taken in as wholes; empty ones
-        for boxes that are not finite.
+        x0, y0, x1, y1, rounded outwards to whole pixels; all 0 for a box that is not finite.
     class_ids : list of str
-        Class of the best hypothesis of each region, empty where there is none.
+        Class of the best hypothesis of each region, empty if there is none.
     scores : list of float or None
-        Its score, None where it is no finite number.
+        Score of the best hypothesis, None if it is not finite or there is none.
 
     Raises
     ------
@@ -69,16 +70,11 @@ class WirePlan:
         center, half = xywhr[:, :2], xywhr[:, 2:4] / 2.0
         corners = np.hstack((np.floor(center - half), np.ceil(center + half)))
         corners[~np.isfinite(corners).all(axis=1)] = 0.0
-        rows = np.clip(corners, -_FARTHEST, _FARTHEST).astype(np.int64).tolist()
+        rows = np.clip(corners, -_MAX_COORDINATE, _MAX_COORDINATE).astype(np.int64).tolist()
         self.regions = [(x0, y0, x1, y1) for x0, y0, x1, y1 in rows]
         self.class_ids = detections.class_ids()
         self.scores = [
-            score if known else None
-            for score, known in zip(
-                detections.scores().tolist(),
-                np.isfinite(detections.scores()).tolist(),
-                strict=True,
-            )
+            score if math.isfinite(score) else None for score in detections.scores().tolist()
         ]
 
     def __len__(self) -> int:
@@ -86,31 +82,29 @@ class WirePlan:
         return len(self.regions)
 
     def detection_ids(self) -> list[list[str]]:
-        """List the ids of the detections in each region; none for a detection without id."""
+        """List the ids of the detections in each region; a detection without id has none."""
         return [text.split(ID_SEPARATOR) if text else [] for text in self._detections.ids()]
 
     def has_sources(self, sources: Sequence[Source]) -> bool:
-        """Return whether sources are those of the regions: as many, with the same ids."""
+        """Return whether sources belong to the regions: as many, with the same ids."""
         ids = self._detections.ids()
         return len(sources) == len(ids) and all(
             region == source.id or region.startswith(source.id + ID_SEPARATOR)
             for region, source in zip(ids, sources, strict=True)
         )
 
-    def alone(
-        self, row: int, stamp: tuple[int, int], image_stamp: tuple[int, int], frame_id: str
-    ) -> bytes:
+    def alone(self, row: int, stamp: Stamp, image_stamp: Stamp, frame_id: str) -> bytes:
         """
-        Write a message with the detection of one region, whose own header is that of the image.
+        Write a message with the detection of one region; the detection gets the image's header.
 
         Parameters
         ----------
         row : int
             Which region.
-        stamp, image_stamp : tuple of int
-            Stamp of the message, and of the image: seconds and nanoseconds.
+        stamp, image_stamp : Stamp
+            Stamps of the message and of the image.
         frame_id : str
-            Frame of both.
+            Frame id of both.
 
         Returns
         -------
@@ -122,7 +116,7 @@ class WirePlan:
         )
 
 
-def read_sources(data: bytes) -> tuple[tuple[int, int], list[Source]]:
+def read_sources(data: bytes) -> tuple[Stamp, list[Source]]:
     """
     Read a message on `crop_sources`.
 
@@ -133,8 +127,8 @@ def read_sources(data: bytes) -> tuple[tuple[int, int], list[Source]]:
 
     Returns
     -------
-    stamp : tuple of int
-        Seconds and nanoseconds.
+    stamp : Stamp
+        The header's stamp.
     sources : list of Source
         One for each region of the plan of the same stamp, in its order.
 
@@ -147,6 +141,6 @@ def read_sources(data: bytes) -> tuple[tuple[int, int], list[Source]]:
     values = np.nan_to_num(detections.scores(), nan=0.0, posinf=0.0, neginf=0.0).tolist()
     boxes = detections.xywhr().tolist()
     return detections.stamp, [
-        Source(chip_id, value, tuple(box))
-        for chip_id, value, box in zip(detections.ids(), values, boxes, strict=True)
+        Source(detection_id, value, tuple(box))
+        for detection_id, value, box in zip(detections.ids(), values, boxes, strict=True)
     ]

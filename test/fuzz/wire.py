@@ -31,7 +31,6 @@ from cdr import encode
 
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.detections import Detections
-from obbhbb_ros.wire.detections import canonical
 
 WORDS = [0, 1, 2, 3, 4, 5, 7, 8, 0x7F, 0xFF, 0x100, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1]
 TEXTS = ['', 'a', 'ship', 'camera', 'größe', 'x' * 63]
@@ -41,25 +40,39 @@ SLOWEST = 2.0
 def check(data: bytes) -> str:
     """Hold one input against what must hold; tell what became of it."""
     try:
-        found = Detections(data)
+        detections = Detections(data)
     except WireError:
         return 'refused'
-    count = len(found)
+    count = len(detections)
     assert count * 64 <= len(data), 'more detections than the bytes can hold'
-    assert len(found.class_ids()) == len(found.scores()) == count
-    boxes_at = [4 + 8 * int(at) for at in found._boxes_at[0]]
-    plain, rows = canonical(data), np.arange(4.0 * count).reshape(-1, 4) - 0.5
-    written = found.rewrite(rows)
-    assert len(plain) == len(written)
-    outside_plain, outside_written = bytearray(plain), bytearray(written)
-    for at in boxes_at:
-        outside_plain[at : at + 40] = outside_written[at : at + 40] = bytes(40)
-    assert outside_plain == outside_written, 'changed outside the box fields'
+    assert len(detections.class_ids()) == len(detections.scores()) == count
+    rows = np.arange(4.0 * count).reshape(-1, 4) - 0.5
+    plain = detections.rewrite(rows, np.zeros(count, bool))
+    written, other = detections.rewrite(rows), detections.rewrite(rows + 0.25)
+    assert_boxes_alone_differ(plain, written, other, count)
     np.testing.assert_array_equal(Detections(written).xywhr()[:, :4], rows)
     chosen = np.arange(count)[::-2]
-    selected = Detections(found.selected(chosen, rows[chosen]))
+    selected = Detections(detections.selected(chosen, rows[chosen]))
     np.testing.assert_array_equal(selected.xywhr()[:, :4], rows[chosen])
     return 'read'
+
+
+def assert_boxes_alone_differ(plain: bytes, written: bytes, other: bytes, count: int) -> None:
+    """Hold a message against two with other boxes: x, y, theta, size x, size y are all changes."""
+    assert len(plain) == len(written) == len(other)
+    # Doubles start four bytes behind the encapsulation header's start.
+    end = 4 + (len(plain) - 4) // 8 * 8
+    before, one, two = (
+        np.frombuffer(data[4:end], np.uint64).copy() for data in (plain, written, other)
+    )
+    (places,) = (one != two).nonzero()
+    boxes = places.reshape(count, 4)
+    np.testing.assert_array_equal(boxes, boxes[:, :1] + [0, 1, 3, 4])
+    for message in (before, one, two):
+        message[boxes[:, :1] + np.arange(5)] = 0
+    assert plain[end:] == written[end:] == other[end:]
+    np.testing.assert_array_equal(before, one, 'changed outside the box fields')
+    np.testing.assert_array_equal(before, two, 'changed outside the box fields')
 
 
 def seed_message(source: random.Random) -> bytes:
