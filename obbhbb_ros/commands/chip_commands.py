@@ -54,9 +54,9 @@ def run_chips(options: Namespace) -> int:
     print(f'chips of {what}; difference from outer in brackets\n')
     print(tables.cost_table(costs))
     if options.picture:
-        from obbhbb_ros.study import drawing
+        from obbhbb_ros.study import figures
 
-        drawing.save(drawing.cost_figure(costs, *pictures[0], what), options.picture, dpi=75)
+        figures.save(figures.cost_figure(costs, *pictures[0], what), options.picture, dpi=75)
         print(f'\npicture: {options.picture}')
     return 0
 

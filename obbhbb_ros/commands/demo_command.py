@@ -35,7 +35,7 @@ def add_demo_options(parser: ArgumentParser) -> None:
 def run_demo(options: Namespace) -> int:
     """Send a synthetic harbour through the real nodes; print a table, draw it, record a bag."""
     from obbhbb_ros.nodes.demo import boxes_by_method
-    from obbhbb_ros.study import drawing
+    from obbhbb_ros.study import figures
 
     if options.bag and options.bag.exists():
         raise ValueError(f'{options.bag} exists already')
@@ -43,7 +43,7 @@ def run_demo(options: Namespace) -> int:
     boxes = boxes_by_method(ships)
     print(f'{len(ships.class_ids)} ships of a synthetic harbour, converted by the node over DDS\n')
     print(tables.scene_table(ships, boxes))
-    drawing.save(drawing.scene_figure(ships, boxes), options.picture, dpi=100)
+    figures.save(figures.scene_figure(ships, boxes), options.picture, dpi=100)
     print(f'\npicture: {options.picture}')
     _record_demo(ships, options.bag, options.picture.parent)
     return 0

@@ -25,10 +25,13 @@ from obbhbb_ros.study import cross_validation
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import rules
 from obbhbb_ros.study import tables
+from obbhbb_ros.study.coverage import Coverage
 from obbhbb_ros.study.grid_search import GRIDS
 from obbhbb_ros.study.hulls import synthetic_ships
 from obbhbb_ros.study.metrics import PROTOCOLS
-from obbhbb_ros.study.parameter_file import yaml_text
+from obbhbb_ros.study.rule_file import yaml_text
+
+_FITS = {'auto': calibration.Fit.AUTO, 'all': calibration.Fit.ALWAYS, 'q': calibration.Fit.NEVER}
 
 
 def add_evaluate_options(parser: ArgumentParser) -> None:
@@ -67,7 +70,9 @@ def add_evaluate_options(parser: ArgumentParser) -> None:
 
 def run_evaluate(options: Namespace) -> int:
     """Score methods on labelled ships, by angle, aspect ratio and class."""
-    settings = evaluation.Settings(options.threshold, options.keep, options.bootstrap, options.seed)
+    settings = evaluation.EvaluationSettings(
+        options.threshold, options.keep, options.bootstrap, options.seed
+    )
     warn_of_ends(options)
     chosen = rules.choose_rules(
         options.methods, options.q, options.f, options.s, options.q_bow, options.q_stern
@@ -85,9 +90,9 @@ def run_evaluate(options: Namespace) -> int:
     if options.csv:
         evaluation.write_csv(options.csv, scores)
     if options.plot:
-        from obbhbb_ros.study import drawing
+        from obbhbb_ros.study import figures
 
-        drawing.save(drawing.angle_figure(scores), options.plot)
+        figures.save(figures.angle_figure(scores), options.plot)
     return 0
 
 
@@ -103,11 +108,11 @@ def add_calibrate_options(parser: ArgumentParser) -> None:
         default=plan.method,
         help='method to calibrate; default: %(default)s',
     )
-    aims = '; '.join(f'{name}: {each.summary}' for name, each in calibration.OBJECTIVES.items())
+    aims = '; '.join(f'{name}: {aim.summary}' for name, aim in calibration.OBJECTIVES.items())
     add(
         '--objective',
         choices=tuple(calibration.OBJECTIVES),
-        default=plan.objective,
+        default=plan.objective.name,
         help=f'{aims}; default: %(default)s',
     )
     add(
@@ -124,20 +129,20 @@ def add_calibrate_options(parser: ArgumentParser) -> None:
     )
     add(
         '--fit',
-        choices=calibration.FITS,
-        default=plan.fit,
+        choices=tuple(_FITS),
+        default='auto',
         help='whether to fit f and s beside q: auto: if they gain '
-        f'{calibration.LEAST_GAIN:g} or more on held-out images; default: %(default)s',
+        f'{calibration.MIN_GAIN:g} or more on held-out images; default: %(default)s',
     )
     add_number_options(
         parser,
-        plan,
+        Coverage(),
         {
             'keep': 'objective coverage: share of the reference box that a box must contain',
             'share': 'objective coverage: share of ships whose box must contain that much',
-            'seed': 'seed of all random splits',
         },
     )
+    add_number_options(parser, plan, {'seed': 'seed of all random splits'})
     add(
         '--exchangeable',
         choices=('ships', 'images'),
@@ -168,32 +173,29 @@ def run_calibrate(options: Namespace) -> int:
     else:
         ships = evaluation.ships_for(read_labelled_ships(options), 'hbb')
     by_image = options.exchangeable == 'images'
-    plan = calibration.Plan(
+    plan = calibration.CalibrationPlan(
         method=options.method,
-        objective=options.objective,
+        objective=calibration.make_objective(
+            options.objective,
+            keep=options.keep,
+            share=options.share,
+            per_image=int(np.bincount(ships.image_of).max()) if by_image else 1,
+        ),
         grid=GRIDS[options.grid],
         refine=options.refine,
-        fit=options.fit,
-        keep=options.keep,
-        share=options.share,
-        per_image=int(np.bincount(ships.image_of).max()) if by_image else 1,
+        f_and_s=_FITS[options.fit],
         seed=options.seed,
     )
-    outcome = cross_validation.run(
-        ships,
-        plan,
-        options.folds,
-        per_class=options.per_class,
-        by_aspect=options.by_aspect,
-        seed=options.seed,
+    result = cross_validation.run(
+        ships, plan, options.folds, per_class=options.per_class, by_aspect=options.by_aspect
     )
-    text = tables.outcome_text(outcome)
+    text = tables.calibration_text(result)
     print(text)
     if options.output:
         notes = [f'Written by: obbhbb {shlex.join(options.arguments)}', *text.splitlines()]
         # The class names of synthetic ships are not those of any detector.
-        own = {} if options.synthetic else outcome.rule_of_class
-        write_text(options.output, yaml_text(outcome.rule, own, notes))
+        rule_of_class = {} if options.synthetic else result.rule_of_class
+        write_text(options.output, yaml_text(result.rule, rule_of_class, notes))
         print(f'\nwritten: {options.output}')
     return 0
 

@@ -15,14 +15,16 @@ from obbhbb_ros.study.tables import comparison_table
 
 def main(arguments: Sequence[str]) -> None:
     """Print the comparison, and draw the hulls to each picture file that is given."""
-    found = paper_comparison()
-    print(comparison_table(found))
+    comparisons = paper_comparison()
+    print(comparison_table(comparisons))
     for row, rule in PAPER_ROWS.items():
-        print(f'{row} ({rule.method}): mean absolute deviation {mean_deviation(found, row):.4f}')
+        print(
+            f'{row} ({rule.method}): mean absolute deviation {mean_deviation(comparisons, row):.4f}'
+        )
     for path in arguments:
-        from obbhbb_ros.study import drawing
+        from obbhbb_ros.study import figures
 
-        drawing.save(drawing.hull_panel(), Path(path))
+        figures.save(figures.hull_panel(), Path(path))
         print(f'picture: {path}')
 
 

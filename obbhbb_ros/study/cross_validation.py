@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Iterator
 from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
@@ -20,22 +22,29 @@ from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.converter import PAPER_RULE
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
-from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import metrics
-from obbhbb_ros.study.calibration import FEWEST
-from obbhbb_ros.study.calibration import LEAST_GAIN
-from obbhbb_ros.study.calibration import OBJECTIVES
-from obbhbb_ros.study.calibration import Plan
-from obbhbb_ros.study.calibration import Trials
-from obbhbb_ros.study.calibration import calibrate
-from obbhbb_ros.study.calibration import covered_shares
+from obbhbb_ros.study.bootstrap import Interval
+from obbhbb_ros.study.bootstrap import bootstrap_intervals
+from obbhbb_ros.study.calibration import MIN_GAIN
+from obbhbb_ros.study.calibration import MIN_SHIPS
+from obbhbb_ros.study.calibration import CalibrationPlan
+from obbhbb_ros.study.calibration import Calibrator
 from obbhbb_ros.study.calibration import decide
 from obbhbb_ros.study.calibration import enough
-from obbhbb_ros.study.calibration import folds_of
+from obbhbb_ros.study.evaluation import EvaluationSettings
+from obbhbb_ros.study.evaluation import ship_metrics
+from obbhbb_ros.study.folds import folds_of
+from obbhbb_ros.study.folds import held_out_folds
+from obbhbb_ros.study.objectives import MeanIou
 from obbhbb_ros.study.ships import Ships
 
 CALIBRATED = 'calibrated'
 BY_CLASS = 'by class'
+BY_ASPECT = 'by aspect ratio'
+# What calibrated rules are compared with.
+FIXED_RULES: MappingProxyType[str, HullRule] = MappingProxyType(
+    {'outer': HullRule('outer'), 'paper': PAPER_RULE, 'default': HullRule()}
+)
 _BANDS = 3
 # Small ships, as COCO has them: L * W below 32 x 32 px.
 SMALL = 32.0**2
@@ -47,17 +56,17 @@ _MARGINS = np.arange(-80, 81) * 0.05
 Grouping: TypeAlias = Callable[[Ships, Ships], NDArray[np.intp]]
 
 
-def no_groups(known: Ships, ships: Ships) -> NDArray[np.intp]:
+def no_groups(training: Ships, ships: Ships) -> NDArray[np.intp]:
     """Put no ship into a group."""
     return np.full(len(ships), -1)
 
 
-def aspect_groups(known: Ships, ships: Ships) -> NDArray[np.intp]:
-    """Sort ships into the bands of aspect ratio that hold equally many of the known ships."""
-    return np.searchsorted(_aspect_edges(known), ships.aspect)
+def aspect_groups(training: Ships, ships: Ships) -> NDArray[np.intp]:
+    """Sort ships into the bands of aspect ratio that hold equally many of the training ships."""
+    return np.searchsorted(_aspect_edges(training), ships.aspect)
 
 
-def class_groups(names: list[str], known: Ships, ships: Ships) -> NDArray[np.intp]:
+def class_groups(names: Sequence[str], training: Ships, ships: Ships) -> NDArray[np.intp]:
     """Sort ships by class, for some classes."""
     return ships.class_index(names)
 
@@ -72,7 +81,7 @@ class Gain:
     """
     Gain over one rule, or over another `base`, on held-out images.
 
-    The mean gain in the figure of the objective (IoU, matches, or relative area saved) and its
+    The mean gain in the metric of the objective (IoU, matches, or relative area saved) and its
     95 % bootstrap interval.
     """
 
@@ -84,74 +93,87 @@ class Gain:
 
     @property
     def earned(self) -> bool:
-        """Whether the gain is `LEAST_GAIN` or more, and the whole interval above zero."""
-        return self.mean >= LEAST_GAIN and self.low > 0.0
+        """Whether the gain is `MIN_GAIN` or more, and the whole interval above zero."""
+        return self.mean >= MIN_GAIN and self.low > 0.0
 
     def __str__(self) -> str:
         """Return the gain in one line."""
         verdict = 'better' if self.earned else 'not clearly better'
-        none = 'none, ' if self.mean < LEAST_GAIN else ''
+        none = 'none, ' if self.mean < MIN_GAIN else ''
         interval = f'{self.low:+.4f} to {self.high:+.4f}'
         return f'{self.name}: {verdict} than {self.base}, gain {none}{self.mean:+.4f} ({interval})'
 
 
-@dataclass(eq=False)
-class Outcome:
+@dataclass(frozen=True, eq=False)
+class CalibrationResult:
     """
     Result of a calibration.
 
     Attributes
     ----------
-    plan : Plan
-        How it was calibrated, see `obbhbb_ros.study.calibration.decide`.
-    trials : Trials
-        What decided it.
+    calibrator : Calibrator
+        How it was calibrated: the plan, and what is fitted beside q.
     ships : Ships
         The N ships.
     rule : HullRule
         The rule, from all ships.
-    rule_of_class : dict of str to HullRule
-        Rules of the classes that gain by one.
-    rule_of_aspect : list of (low, high, HullRule)
+    scatter : Interval or None
+        `Coverage`: how the share of ships that keep enough scatters, see `Coverage.scatter`.
+    held_out : mapping of str to dict of str to ndarray of shape (N,)
+        `obbhbb_ros.study.evaluation.ship_metrics` of the fixed and of the calibrated rules; the
+        latter were calibrated on other images. Empty without folds.
+    gains : sequence of Gain
+        Gains of rules by class and by band over one rule, and of a margin for small ships.
+    rule_of_aspect : sequence of (low, high, HullRule)
         Rules by band of aspect ratio, if requested. The node has no parameter for them.
-    held_out : dict of str to dict of str to ndarray of shape (N,)
-        `obbhbb_ros.study.evaluation.figures` of each way to convert, calibrated on other images.
-        Empty without folds.
-    gains : list of Gain
-        Gains of rules by class and by band over one rule.
-    covered : Interval or None
-        `coverage`: how the share of ships that keep enough scatters, see
-        `obbhbb_ros.study.calibration.covered_shares`.
-    notes : list of str
+    rule_of_class : mapping of str to HullRule
+        Rules of the classes that gain by one.
+    notes : sequence of str
         Other remarks.
     """
 
-    plan: Plan
-    trials: Trials
+    calibrator: Calibrator
     ships: Ships
     rule: HullRule
-    rule_of_class: dict[str, HullRule] = field(default_factory=dict)
-    rule_of_aspect: list[tuple[float, float, HullRule]] = field(default_factory=list)
-    held_out: dict[str, dict[str, FloatArray]] = field(default_factory=dict)
-    gains: list[Gain] = field(default_factory=list)
-    covered: evaluation.Interval | None = None
-    notes: list[str] = field(default_factory=list)
+    scatter: Interval | None = None
+    held_out: Mapping[str, dict[str, FloatArray]] = field(default_factory=dict)
+    gains: Sequence[Gain] = ()
+    rule_of_aspect: Sequence[tuple[float, float, HullRule]] = ()
+    rule_of_class: Mapping[str, HullRule] = field(default_factory=dict)
+    notes: Sequence[str] = ()
 
-    def interval(self, name: str, figure: str = 'iou') -> evaluation.Interval:
-        """Compute the 95 % interval, by image, of a mean figure of one way to convert."""
-        values = self.held_out[name][figure]
-        return evaluation.bootstrap_intervals([values], self.ships.image_of)[0]
+    def interval(self, name: str, metric: str = 'iou') -> Interval:
+        """Compute the 95 % interval, by image, of a mean metric of one way to convert."""
+        values = self.held_out[name][metric]
+        return bootstrap_intervals([values], self.ships.image_of)[0]
+
+    def gain(self, name: str, base: str = CALIBRATED) -> Gain:
+        """Compare one way to convert with another, ship by ship, in the metric of the objective."""
+        return self._gain(name, base, np.ones(len(self.ships), dtype=bool), name)
+
+    def class_gain(self, class_id: str) -> Gain:
+        """Compare rules by class with one rule on the ships of a class."""
+        rows = self.ships.class_ids == class_id
+        return self._gain(BY_CLASS, CALIBRATED, rows, f'class {class_id}')
+
+    def _gain(self, name: str, base: str, rows: NDArray[np.bool_], title: str) -> Gain:
+        """Compare two ways to convert on some rows."""
+        objective = self.calibrator.plan.objective
+        values, others = (self.held_out[way][objective.metric] for way in (name, base))
+        difference = (objective.sign * (values - others))[rows]
+        (interval,) = bootstrap_intervals([difference], self.ships.image_of[rows])
+        over = 'one rule' if base == CALIBRATED else base
+        return Gain(title, float(difference.mean()), *interval, base=over)
 
 
 def run(
     ships: Ships,
-    plan: Plan,
+    plan: CalibrationPlan,
     folds: int = 5,
     *,
     per_class: bool = False,
     by_aspect: bool = False,
-    seed: int = 0,
-) -> Outcome:
+) -> CalibrationResult:
     """
     Calibrate, and measure the result on held-out images.
 
@@ -159,15 +181,13 @@ def run(
     ----------
     ships : Ships
         Ships with reference boxes.
-    plan : Plan
-        How to calibrate.
+    plan : CalibrationPlan
+        How to calibrate; its seed is also that of the folds.
     folds : int
         Folds of the cross-validation by image; 0 for none.
     per_class, by_aspect : bool
         Whether to try rules by class and by aspect ratio. A class gets its own rule only if that
         gains on held-out images.
-    seed : int
-        Seed of the folds.
 
     Raises
     ------
@@ -178,110 +198,124 @@ def run(
     --------
     >>> from obbhbb_ros.study.hulls import FAMILIES, synthetic_ships
     >>> boxy = synthetic_ships([FAMILIES['rectangular']], [1.0], aspects=2, angles=9)
-    >>> outcome = run(boxy, Plan(), folds=2)
-    >>> round(float(outcome.held_out['calibrated']['iou'].mean()), 2)
+    >>> result = run(boxy, CalibrationPlan(), folds=2)
+    >>> round(float(result.held_out['calibrated']['iou'].mean()), 2)
     1.0
     """
     if (per_class or by_aspect) and not folds:
         raise ValueError('rules by class or aspect ratio need held-out images: give folds')
-    plan, trials = decide(ships, plan)
-    outcome = Outcome(plan, trials, ships, calibrate(ships, plan))
-    if plan.objective == 'coverage':
-        outcome.covered = evaluation.Interval(*covered_shares(ships, outcome.rule, plan))
+    calibrator = decide(ships, plan)
+    rule = calibrator.fit(ships)
+    scatter = plan.objective.scatter(ships, rule, plan.seed)
+    result = CalibrationResult(calibrator, ships, rule, scatter)
     if not folds:
-        return outcome
-    fold = folds_of(ships, folds, seed)
-    if not all(enough(ships.take(fold != index), plan, least=1) for index in range(folds)):
-        outcome.notes.append(
-            f'No held-out figures: without one of {folds} folds there are too few ships for a '
-            f'share of {plan.share:g}.'
-        )
-        return outcome
-    classes = _large_classes(outcome) if per_class else []
+        return result
+    if note := _folds_note(ships, plan, folds):
+        return replace(result, notes=[note])
+    classes, notes = _large_classes(ships, plan) if per_class else ([], [])
     groupings: dict[str, Grouping] = {CALIBRATED: no_groups}
     if by_aspect:
-        groupings['by aspect ratio'] = aspect_groups
-        outcome.rule_of_aspect = _aspect_rules(ships, plan)
+        groupings[BY_ASPECT] = aspect_groups
     if classes:
         groupings[BY_CLASS] = partial(class_groups, classes)
-    _measure(outcome, groupings, folds, seed)
-    if plan.objective == 'mean_iou' and (margin := _margin(outcome, folds, seed)):
-        outcome.gains.append(margin)
-    for name in classes:
-        rows = ships.class_ids == name
-        gain = _gain(outcome, BY_CLASS, rows, f'class {name}')
-        outcome.gains.append(gain)
-        if gain.earned:
-            outcome.rule_of_class[name] = calibrate(ships.take(rows), _for_class(plan))
-    return outcome
+    result = replace(
+        result,
+        held_out=dict(_held_out_metrics(ships, calibrator, groupings, folds)),
+        rule_of_aspect=_aspect_rules(ships, calibrator) if by_aspect else (),
+        notes=notes,
+    )
+    margin = _margin_gain(result, folds) if isinstance(plan.objective, MeanIou) else None
+    class_gains = {class_id: result.class_gain(class_id) for class_id in classes}
+    return replace(
+        result,
+        gains=[
+            *(result.gain(name) for name in groupings if name != CALIBRATED),
+            *([margin] if margin else []),
+            *class_gains.values(),
+        ],
+        rule_of_class={
+            class_id: _for_class(calibrator).fit(ships.take(ships.class_ids == class_id))
+            for class_id, gain in class_gains.items()
+            if gain.earned
+        },
+    )
 
 
-def _measure(outcome: Outcome, groupings: Mapping[str, Grouping], folds: int, seed: int) -> None:
-    """Score fixed rules and calibrated ones on held-out images, and what groups gain."""
-    ships, plan = outcome.ships, outcome.plan
-    fixed = {'outer': HullRule('outer'), 'paper': PAPER_RULE, 'default': HullRule()}
-    boxes = {name: convert_by_rule(ships.boxes, rule) for name, rule in fixed.items()}
+def _folds_note(ships: Ships, plan: CalibrationPlan, folds: int) -> str | None:
+    """Explain why nothing can be held out; None if it can."""
+    if all(enough(training, plan, 1) for training, _ in held_out_folds(ships, folds, plan.seed)):
+        return None
+    return (
+        f'No held-out figures: without one of {folds} folds there are too few '
+        f'{plan.objective.too_few}.'
+    )
+
+
+def _held_out_metrics(
+    ships: Ships, calibrator: Calibrator, groupings: Mapping[str, Grouping], folds: int
+) -> Iterator[tuple[str, dict[str, FloatArray]]]:
+    """Measure the fixed rules and, on held-out images, the calibrated ones."""
+    settings = EvaluationSettings(keep=calibrator.plan.objective.keep, bootstrap=0)
+    for name, rule in FIXED_RULES.items():
+        yield name, ship_metrics(ships, convert_by_rule(ships.boxes, rule), 'hbb', settings)
     for name, grouping in groupings.items():
-        group_plan = _for_class(plan) if name == BY_CLASS else plan
-        boxes[name] = held_out_boxes(ships, plan, folds, seed, grouping, group_plan)
-    settings = evaluation.Settings(keep=plan.keep, bootstrap=0)
-    for name, xyxy in boxes.items():
-        outcome.held_out[name] = evaluation.figures(ships, xyxy, 'hbb', settings)
-    outcome.gains += [_gain(outcome, name) for name in groupings if name != CALIBRATED]
+        of_group = _for_class(calibrator) if name == BY_CLASS else calibrator
+        xyxy = held_out_boxes(ships, calibrator, folds, grouping, of_group)
+        yield name, ship_metrics(ships, xyxy, 'hbb', settings)
 
 
 def held_out_boxes(
     ships: Ships,
-    plan: Plan,
+    calibrator: Calibrator,
     folds: int = 5,
-    seed: int = 0,
     grouping: Grouping = no_groups,
-    group_plan: Plan | None = None,
+    of_group: Calibrator | None = None,
 ) -> FloatArray:
     """
     Convert each of N ships by rules that were calibrated on other images; boxes, (N, 4), pixels.
 
-    A group that `grouping` makes gets a rule of its own, by `group_plan` if given, if it is large
+    A group that `grouping` makes gets a rule of its own, by `of_group` if given, if it is large
     enough.
     """
-    fold = folds_of(ships, folds, seed)
     xyxy = np.empty((len(ships), 4))
-    for index in range(folds):
-        known, new = ships.take(fold != index), ships.take(fold == index)
-        boxes = convert_by_rule(new.boxes, calibrate(known, plan))
-        of_known, of_new = grouping(known, known), grouping(known, new)
-        for group in np.unique(of_new[of_new >= 0]):
-            mine = of_new == group
-            if rule := _own_rule(known, of_known == group, group_plan or plan):
-                boxes[mine] = convert_by_rule(new.boxes.take(mine), rule)
-        xyxy[fold == index] = boxes
+    for training, rows in held_out_folds(ships, folds, calibrator.plan.seed):
+        new = ships.take(rows)
+        boxes = convert_by_rule(new.boxes, calibrator.fit(training))
+        training_groups, groups = grouping(training, training), grouping(training, new)
+        for group in np.unique(groups[groups >= 0]):
+            members = groups == group
+            if rule := _group_rule(training, training_groups == group, of_group or calibrator):
+                boxes[members] = convert_by_rule(new.boxes.take(members), rule)
+        xyxy[rows] = boxes
     return xyxy
 
 
-def _own_rule(ships: Ships, rows: NDArray[np.bool_], plan: Plan) -> HullRule | None:
+def _group_rule(
+    ships: Ships, members: NDArray[np.bool_], calibrator: Calibrator
+) -> HullRule | None:
     """Calibrate on some of the ships, if they are enough."""
-    group = ships.take(rows) if rows.any() else None
-    return calibrate(group, plan) if group and enough(group, plan) else None
+    group = ships.take(members) if members.any() else None
+    return calibrator.fit(group) if group and enough(group, calibrator.plan) else None
 
 
-def _for_class(plan: Plan) -> Plan:
-    """Return a plan without q_bow and q_stern, which the node does not have for a class."""
-    return replace(plan, ends=False)
+def _for_class(calibrator: Calibrator) -> Calibrator:
+    """Leave out q_bow and q_stern, which the node does not have for a class."""
+    return replace(calibrator, ends=False)
 
 
-def _aspect_rules(ships: Ships, plan: Plan) -> list[tuple[float, float, HullRule]]:
+def _aspect_rules(ships: Ships, calibrator: Calibrator) -> list[tuple[float, float, HullRule]]:
     """Calibrate each band of aspect ratio on all its ships."""
     rules = []
     for low, high in pairwise([1.0, *_aspect_edges(ships).tolist(), np.inf]):
-        if rule := _own_rule(ships, (ships.aspect >= low) & (ships.aspect < high), plan):
+        if rule := _group_rule(ships, (ships.aspect >= low) & (ships.aspect < high), calibrator):
             rules.append((low, high, rule))
     return rules
 
 
 def fit_margin(ships: Ships, xyxy: FloatArray) -> float:
     """Find the margin on each side, pixels, with which N boxes, (N, 4), have the best mean IoU."""
-    worth = [metrics.iou(_grown(xyxy, each), ships.reference).mean() for each in _MARGINS]
-    return float(_MARGINS[np.argmax(worth)])
+    means = [metrics.iou(_grown(xyxy, margin), ships.reference).mean() for margin in _MARGINS]
+    return float(_MARGINS[np.argmax(means)])
 
 
 def _grown(xyxy: FloatArray, margin: float) -> FloatArray:
@@ -289,47 +323,36 @@ def _grown(xyxy: FloatArray, margin: float) -> FloatArray:
     return xyxy + np.array([-margin, -margin, margin, margin])
 
 
-def _margin(outcome: Outcome, folds: int, seed: int) -> Gain | None:
-    """Try a margin for small ships; None if they are too few or it gains less than `LEAST_GAIN`."""
-    ships, plan = outcome.ships, outcome.plan
+def _margin_gain(result: CalibrationResult, folds: int) -> Gain | None:
+    """Try a margin for small ships; None if they are too few or it gains less than `MIN_GAIN`."""
+    ships, calibrator = result.ships, result.calibrator
     small = ships.boxes.length * ships.boxes.width < SMALL
-    fold, gain = folds_of(ships, folds, seed), np.zeros(len(ships))
-    if min(np.bincount(fold[small], minlength=folds)) < FEWEST:
+    fold, gain = folds_of(ships, folds, calibrator.plan.seed), np.zeros(len(ships))
+    if min(np.bincount(fold[small], minlength=folds)) < MIN_SHIPS:
         return None
-    for index in range(folds):
-        known, new = ships.take(small & (fold != index)), ships.take(small & (fold == index))
-        rule = calibrate(ships.take(fold != index), plan)
+    for training, rows in held_out_folds(ships, folds, calibrator.plan.seed):
+        rule = calibrator.fit(training)
+        known, new = ships.take(small & ~rows), ships.take(small & rows)
         margin = fit_margin(known, convert_by_rule(known.boxes, rule))
         xyxy = convert_by_rule(new.boxes, rule)
         grown = metrics.iou(_grown(xyxy, margin), new.reference)
-        gain[small & (fold == index)] = grown - metrics.iou(xyxy, new.reference)
-    mine = ships.take(small)
-    margin = fit_margin(mine, convert_by_rule(mine.boxes, outcome.rule))
+        gain[small & rows] = grown - metrics.iou(xyxy, new.reference)
+    small_ships = ships.take(small)
+    margin = fit_margin(small_ships, convert_by_rule(small_ships.boxes, result.rule))
     name = f'margin of {margin:+.2f} px on each side, for ships of L W below 32 x 32 px'
-    (interval,) = evaluation.bootstrap_intervals([gain[small]], ships.image_of[small])
-    found = Gain(name, float(gain[small].mean()), *interval, base='none')
-    return found if found.earned else None
+    (interval,) = bootstrap_intervals([gain[small]], ships.image_of[small])
+    total = Gain(name, float(gain[small].mean()), *interval, base='none')
+    return total if total.earned else None
 
 
-def _large_classes(outcome: Outcome) -> list[str]:
-    """List the classes that are large enough for a rule; add a note if there are none to try."""
-    ships = outcome.ships
+def _large_classes(ships: Ships, plan: CalibrationPlan) -> tuple[list[str], list[str]]:
+    """List the classes that are large enough for a rule; and, if there are none to try, why."""
     names = [str(name) for name in np.unique(ships.class_ids) if str(name)]
-    large = [name for name in names if enough(ships.take(ships.class_ids == name), outcome.plan)]
+    large = [name for name in names if enough(ships.take(ships.class_ids == name), plan)]
     if len(names) >= 2 and large:
-        return large
-    outcome.notes.append(
+        return large, []
+    note = (
         f'per class: nothing to do: needs two or more classes (here {len(names)}), at least one of '
         f'them large enough for a rule (here {len(large)})'
     )
-    return []
-
-
-def _gain(outcome: Outcome, name: str, rows: Any = slice(None), title: str | None = None) -> Gain:
-    """Compare groups with one rule, ship by ship."""
-    objective = OBJECTIVES[outcome.plan.objective]
-    found = outcome.held_out[name][objective.figure]
-    base = outcome.held_out[CALIBRATED][objective.figure]
-    difference = (objective.sign * (found - base))[rows]
-    (interval,) = evaluation.bootstrap_intervals([difference], outcome.ships.image_of[rows])
-    return Gain(title or name, float(difference.mean()), *interval)
+    return [], [note]

@@ -8,7 +8,6 @@ import io
 import json
 from collections.abc import Callable
 from collections.abc import Iterable
-from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -18,7 +17,6 @@ from dataclasses import fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +26,9 @@ from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.study import metrics
+from obbhbb_ros.study.bootstrap import Interval
+from obbhbb_ros.study.bootstrap import bootstrap_intervals
+from obbhbb_ros.study.bootstrap import median_intervals
 from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.ships import Ships
 
@@ -45,22 +46,12 @@ TILTED = 10.0
 HULL_KEPT = 0.99
 # IoU .50:.05:.95, as average precision has it.
 _THRESHOLDS = np.arange(50, 100, 5) / 100.0
-_TAIL = (1.0 - 0.95) / 2.0
-# Number of draws at once, to limit the memory for many images.
-_BATCH = 50
 # An offset is significant if its interval, rounded to these decimals of a pixel, excludes zero.
 _OFFSET_DIGITS = 2
 
 
-class Interval(NamedTuple):
-    """A 95 % confidence interval."""
-
-    low: float
-    high: float
-
-
 @dataclass(frozen=True)
-class Settings:
+class EvaluationSettings:
     """
     Settings of an evaluation.
 
@@ -93,23 +84,23 @@ class Settings:
             raise ValueError(f'bootstrap must be 0 or more, not {self.bootstrap}')
 
 
-DEFAULT_SETTINGS = Settings()
+DEFAULT_SETTINGS = EvaluationSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """N ships, their boxes, (N, 4), and how both overlap: what a figure is computed from."""
+    """N ships, their boxes, (N, 4), and how both overlap: what metrics are computed from."""
 
     ships: Ships
     xyxy: FloatArray
     overlap: metrics.Overlap
-    settings: Settings
+    settings: EvaluationSettings
 
 
 @dataclass(frozen=True)
-class Figure:
+class Metric:
     """
-    A scored figure.
+    A metric of boxes.
 
     Attributes
     ----------
@@ -125,45 +116,45 @@ class Figure:
     values: Callable[[Scored], FloatArray]
     form: str = '.4f'
 
-    def heading(self, settings: Settings) -> str:
+    def heading(self, settings: EvaluationSettings) -> str:
         """Return the title under some settings."""
         return self.title.format(threshold=settings.threshold * 100.0, keep=settings.keep)
 
 
-def _figure(
+def _metric(
     title: str, values: Callable[[Scored], FloatArray], form: str = '.4f'
-) -> dict[str, Figure]:
-    """Describe a field of `Score` that is the mean of a figure."""
-    return {'figure': Figure(title, values, form)}
+) -> dict[str, Metric]:
+    """Describe a field of `Score` that is the mean of a metric."""
+    return {'metric': Metric(title, values, form)}
 
 
 def _matches(threshold: float) -> Callable[[Scored], FloatArray]:
     """Count the ships with an IoU of at least a threshold."""
-    return lambda each: each.overlap.match(threshold).astype(float)
+    return lambda scored: scored.overlap.match(threshold).astype(float)
 
 
-def _average_match(each: Scored) -> FloatArray:
+def _average_match(scored: Scored) -> FloatArray:
     """Average the matches over IoU .50:.05:.95."""
-    return np.asarray(np.mean([each.overlap.match(low) for low in _THRESHOLDS], axis=0))
+    return np.asarray(np.mean([scored.overlap.match(low) for low in _THRESHOLDS], axis=0))
 
 
-def _hull_kept(each: Scored) -> FloatArray:
+def _hull_kept(scored: Scored) -> FloatArray:
     """Find the ships that keep their hull; NaN where no hull is known."""
-    share = metrics.hull_share(each.xyxy, each.ships.outlines)
+    share = metrics.hull_share(scored.xyxy, scored.ships.outlines)
     # Allow for rounding in the areas.
     return np.where(np.isnan(share), np.nan, share >= HULL_KEPT - 1e-9)
 
 
-def _area(each: Scored) -> FloatArray:
+def _area(scored: Scored) -> FloatArray:
     """Compare the areas with those of the outer boxes."""
-    outer = metrics.area(convert_by_rule(each.ships.boxes, HullRule('outer')))
-    return each.overlap.predicted / outer
+    outer = metrics.area(convert_by_rule(scored.ships.boxes, HullRule('outer')))
+    return scored.overlap.predicted / outer
 
 
 @dataclass(frozen=True)
 class Score:
     """
-    Figures of one method on some ships under one protocol.
+    The mean metrics of one method on some ships under one protocol.
 
     From `iou` on they are means over the ships; each ship counts the same.
 
@@ -209,40 +200,42 @@ class Score:
     q_stern: float | None
     ships: int
     images: int
-    iou: float = field(metadata=_figure('mean IoU', lambda each: each.overlap.iou))
+    iou: float = field(metadata=_metric('mean IoU', lambda scored: scored.overlap.iou))
     iou_low: float
     iou_high: float
     match: float = field(
-        metadata=_figure(
+        metadata=_metric(
             'match{threshold:g}',
-            lambda each: each.overlap.match(each.settings.threshold).astype(float),
+            lambda scored: scored.overlap.match(scored.settings.threshold).astype(float),
         )
     )
-    overshoot: float = field(metadata=_figure('overshoot', lambda each: each.overlap.overshoot))
-    undershoot: float = field(metadata=_figure('undershoot', lambda each: each.overlap.undershoot))
+    overshoot: float = field(metadata=_metric('overshoot', lambda scored: scored.overlap.overshoot))
+    undershoot: float = field(
+        metadata=_metric('undershoot', lambda scored: scored.overlap.undershoot)
+    )
     average_error: float = field(
-        metadata=_figure('avg. error', lambda each: each.overlap.average_error)
+        metadata=_metric('avg. error', lambda scored: scored.overlap.average_error)
     )
     area_error: float = field(
-        metadata=_figure('area error', lambda each: each.overlap.relative_error)
+        metadata=_metric('area error', lambda scored: scored.overlap.relative_error)
     )
-    coverage: float = field(metadata=_figure('coverage', lambda each: each.overlap.coverage))
+    coverage: float = field(metadata=_metric('coverage', lambda scored: scored.overlap.coverage))
     kept: float = field(
-        metadata=_figure(
+        metadata=_metric(
             'keep {keep:.0%}',
-            lambda each: (each.overlap.coverage >= each.settings.keep).astype(float),
+            lambda scored: (scored.overlap.coverage >= scored.settings.keep).astype(float),
             '.1%',
         )
     )
-    area: float = field(metadata=_figure('area/outer', _area))
-    match75: float = field(metadata=_figure('match75', _matches(0.75)))
-    match90: float = field(metadata=_figure('match90', _matches(0.9)))
-    match_average: float = field(metadata=_figure('match50:95', _average_match))
-    hull_kept: float = field(metadata=_figure(f'hull {HULL_KEPT:.0%}', _hull_kept, '.1%'))
+    area: float = field(metadata=_metric('area/outer', _area))
+    match75: float = field(metadata=_metric('match75', _matches(0.75)))
+    match90: float = field(metadata=_metric('match90', _matches(0.9)))
+    match_average: float = field(metadata=_metric('match50:95', _average_match))
+    hull_kept: float = field(metadata=_metric(f'hull {HULL_KEPT:.0%}', _hull_kept, '.1%'))
 
 
-FIGURES: MappingProxyType[str, Figure] = MappingProxyType(
-    {each.name: each.metadata['figure'] for each in fields(Score) if each.metadata}
+METRICS: MappingProxyType[str, Metric] = MappingProxyType(
+    {column.name: column.metadata['metric'] for column in fields(Score) if column.metadata}
 )
 
 
@@ -289,7 +282,7 @@ def strata(ships: Ships) -> dict[str, NDArray[np.bool_]]:
 
     The members of each stratum that has any are marked in an array of shape (N,).
     """
-    found = {
+    members = {
         ALL: np.ones(len(ships), dtype=bool),
         **in_bands(ships.tilt, TILT_BANDS),
         f'tilt > {TILTED:g}°': ships.tilt > TILTED,
@@ -297,8 +290,8 @@ def strata(ships: Ships) -> dict[str, NDArray[np.bool_]]:
     }
     classes = np.unique(ships.class_ids).tolist()
     if len(classes) > 1:
-        found |= {f'class {each}': ships.class_ids == each for each in classes}
-    return {name: rows for name, rows in found.items() if rows.any()}
+        members |= {f'class {class_id}': ships.class_ids == class_id for class_id in classes}
+    return {name: rows for name, rows in members.items() if rows.any()}
 
 
 def in_bands(
@@ -312,7 +305,7 @@ def evaluate(
     ships: Ships,
     rules: Mapping[str, HullRule] = DEFAULT_RULES,
     protocols: Sequence[str] = tuple(metrics.PROTOCOLS),
-    settings: Settings = DEFAULT_SETTINGS,
+    settings: EvaluationSettings = DEFAULT_SETTINGS,
 ) -> list[Score]:
     """
     Score rules on ships.
@@ -325,7 +318,7 @@ def evaluate(
         The rules by name.
     protocols : sequence of str
         Keys of `PROTOCOLS`.
-    settings : Settings
+    settings : EvaluationSettings
         Threshold, required coverage and bootstrap samples.
 
     Returns
@@ -349,20 +342,20 @@ def evaluate(
     scores: list[Score] = []
     for protocol in protocols:
         chosen = ships_for(ships, protocol)
-        found = {
-            name: figures(chosen, convert_by_rule(chosen.boxes, rule), protocol, settings)
+        values = {
+            name: ship_metrics(chosen, convert_by_rule(chosen.boxes, rule), protocol, settings)
             for name, rule in rules.items()
         }
         for stratum, rows in strata(chosen).items():
             images = chosen.image_of[rows]
             intervals = bootstrap_intervals(
-                [each['iou'][rows] for each in found.values()],
+                [of_rule['iou'][rows] for of_rule in values.values()],
                 images,
                 settings.bootstrap,
                 settings.seed,
             )
             for (name, rule), (low, high) in zip(rules.items(), intervals, strict=True):
-                means = {key: mean(value[rows]) for key, value in found[name].items()}
+                means = {key: mean(value[rows]) for key, value in values[name].items()}
                 scores.append(
                     Score(
                         protocol=protocol,
@@ -385,11 +378,11 @@ def evaluate(
 
 def nested(scores: Iterable[Score]) -> dict[str, dict[str, dict[str, Score]]]:
     """Arrange scores by protocol, stratum and method, in their order."""
-    found: dict[str, dict[str, dict[str, Score]]] = {}
+    tree: dict[str, dict[str, dict[str, Score]]] = {}
     for score in scores:
-        by_stratum = found.setdefault(score.protocol, {})
+        by_stratum = tree.setdefault(score.protocol, {})
         by_stratum.setdefault(score.stratum, {})[score.method] = score
-    return found
+    return tree
 
 
 def overlap(ships: Ships, xyxy: FloatArray, protocol: str) -> metrics.Overlap:
@@ -406,8 +399,8 @@ def ships_for(ships: Ships, protocol: str) -> Ships:
     Raises ValueError if the protocol is unknown, or there is no such ship.
     """
     if protocol not in metrics.PROTOCOLS:
-        known = ', '.join(metrics.PROTOCOLS)
-        raise ValueError(f'protocol must be one of {known}, not {protocol!r}')
+        names = ', '.join(metrics.PROTOCOLS)
+        raise ValueError(f'protocol must be one of {names}, not {protocol!r}')
     if protocol == 'obb':
         return ships
     if not ships.with_reference.any():
@@ -417,26 +410,26 @@ def ships_for(ships: Ships, protocol: str) -> Ships:
     return ships.take(ships.with_reference)
 
 
-def figures(
-    ships: Ships, xyxy: FloatArray, protocol: str, settings: Settings = DEFAULT_SETTINGS
+def ship_metrics(
+    ships: Ships, xyxy: FloatArray, protocol: str, settings: EvaluationSettings = DEFAULT_SETTINGS
 ) -> dict[str, FloatArray]:
-    """Compute all figures of N ships and their boxes, (N, 4), named as their means in `Score`."""
+    """Compute every metric of N ships and their boxes, (N, 4), named as its mean in `Score`."""
     scored = Scored(ships, xyxy, overlap(ships, xyxy, protocol), settings)
-    return {name: figure.values(scored) for name, figure in FIGURES.items()}
+    return {name: metric.values(scored) for name, metric in METRICS.items()}
 
 
 def mean(values: FloatArray) -> float:
-    """Average a figure over the ships, (N,), where it is known; NaN if it is known nowhere."""
+    """Average a metric over the ships, (N,), where it is known; NaN if it is known for none."""
     if np.isfinite(total := float(values.mean())):
         return total
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if known.size else np.nan
+    finite = values[~np.isnan(values)]
+    return float(finite.mean()) if finite.size else np.nan
 
 
 def offsets(
     ships: Ships,
     rules: Mapping[str, HullRule] = DEFAULT_RULES,
-    settings: Settings = DEFAULT_SETTINGS,
+    settings: EvaluationSettings = DEFAULT_SETTINGS,
 ) -> list[Offset]:
     """
     Measure where the boxes of each rule lie, from the reference boxes.
@@ -448,11 +441,11 @@ def offsets(
     --------
     >>> from obbhbb_ros.study.hulls import synthetic_ships
     >>> ships = synthetic_ships(aspects=2, angles=9, seed=None)
-    >>> [each.significant for each in offsets(ships, {'outer': HullRule('outer')})]
+    >>> [offset.significant for offset in offsets(ships, {'outer': HullRule('outer')})]
     [False]
     """
     chosen = ships_for(ships, 'hbb')
-    found = []
+    measured = []
     for name, rule in rules.items():
         # Without the rounding errors of each method, so that equal offsets are equal.
         sides = np.round(convert_by_rule(chosen.boxes, rule) - chosen.reference, 6)
@@ -460,77 +453,15 @@ def offsets(
         x, y = median_intervals(list(centers.T), chosen.image_of, settings.bootstrap, settings.seed)
         dx, dy = np.median(centers, axis=0).tolist()
         left, top, right, bottom = np.median(sides, axis=0).tolist()
-        found.append(Offset(name, dx, dy, x, y, left, top, right, bottom))
-    return found
-
-
-def bootstrap_intervals(
-    values: Sequence[FloatArray], images: NDArray[np.intp], samples: int = 1000, seed: int = 0
-) -> list[Interval]:
-    """
-    Compute 95 % intervals of means over the same ships, by drawing whole images with replacement.
-
-    Ships in one image resemble each other; drawing single ships would make the intervals too
-    narrow. The draws are the same for all means.
-
-    Parameters
-    ----------
-    values : sequence of ndarray, each of shape (N,)
-        One value per ship, for each mean.
-    images : ndarray of int, shape (N,)
-        Image of each ship.
-    samples, seed : int
-        Number of draws and their seed; without draws the intervals are NaN.
-    """
-    if not samples:
-        return [Interval(np.nan, np.nan)] * len(values)
-    _, index = np.unique(images, return_inverse=True)
-    counts = np.bincount(index).astype(float)
-    sums = np.stack([np.bincount(index, weights=each) for each in values], axis=1)
-    # The means are two products of matrices.
-    means = [
-        times @ sums / (times @ counts)[:, None] for times in draws(len(counts), samples, seed)
-    ]
-    ends = np.quantile(np.concatenate(means), (_TAIL, 1.0 - _TAIL), axis=0)
-    return [Interval(low, high) for low, high in ends.T.tolist()]
-
-
-def median_intervals(
-    values: Sequence[FloatArray], images: NDArray[np.intp], samples: int = 1000, seed: int = 0
-) -> list[Interval]:
-    """Compute 95 % intervals of medians, drawing whole images; see `bootstrap_intervals`."""
-    if not samples:
-        return [Interval(np.nan, np.nan)] * len(values)
-    _, index = np.unique(images, return_inverse=True)
-    orders = [np.argsort(each, kind='stable') for each in values]
-    medians = []
-    for times in draws(int(index.max()) + 1, samples, seed):
-        batch = []
-        for each, order in zip(values, orders, strict=True):
-            reached = np.cumsum(times[:, index[order]], axis=1)
-            total = reached[:, -1:]
-            # The middle value, or the mean of the two in the middle.
-            lower = (2.0 * reached >= total).argmax(axis=1)
-            upper = (2.0 * reached > total).argmax(axis=1)
-            batch.append((each[order[lower]] + each[order[upper]]) / 2.0)
-        medians.append(np.stack(batch, axis=1))
-    ends = np.quantile(np.concatenate(medians), (_TAIL, 1.0 - _TAIL), axis=0)
-    return [Interval(low, high) for low, high in ends.T.tolist()]
-
-
-def draws(images: int, samples: int, seed: int) -> Iterator[FloatArray]:
-    """Draw images with replacement: in batches, how often each one was drawn, (batch, images)."""
-    random = np.random.default_rng(seed)
-    for start in range(0, samples, _BATCH):
-        batch = min(_BATCH, samples - start)
-        drawn = random.integers(images, size=(batch, images))
-        offset = np.arange(batch)[:, None] * images
-        times = np.bincount((drawn + offset).ravel(), minlength=drawn.size)
-        yield times.reshape(drawn.shape).astype(float)
+        measured.append(Offset(name, dx, dy, x, y, left, top, right, bottom))
+    return measured
 
 
 def write_json(
-    path: Path, scores: Iterable[Score], settings: Settings, found: Iterable[Offset] = ()
+    path: Path,
+    scores: Iterable[Score],
+    settings: EvaluationSettings,
+    offsets: Iterable[Offset] = (),
 ) -> None:
     """
     Write settings, meaning of the protocols, scores of `evaluate` and `offsets` as JSON.
@@ -541,7 +472,7 @@ def write_json(
         'settings': asdict(settings),
         'protocols': metrics.PROTOCOLS,
         'scores': [_plain(asdict(score)) for score in scores],
-        'offsets': [_plain(asdict(offset)) for offset in found],
+        'offsets': [_plain(asdict(offset)) for offset in offsets],
     }
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     write_text(path, text + '\n')
@@ -550,9 +481,9 @@ def write_json(
 def _plain(value: Any) -> Any:
     """Replace numbers that JSON cannot hold."""
     if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
+        return {key: _plain(inner) for key, inner in value.items()}
     if isinstance(value, tuple):
-        return [_plain(each) for each in value]
+        return [_plain(inner) for inner in value]
     if isinstance(value, float) and not np.isfinite(value):
         return 'inf' if value > 0 else None
     return value

@@ -48,7 +48,7 @@ _PNG_DEPTH = 24
 
 
 @dataclass(frozen=True)
-class Chip:
+class GalleryChip:
     """
     A chip and the facts in its JSON.
 
@@ -82,13 +82,13 @@ class Received:
 
     Attributes
     ----------
-    chips : list of Chip
+    chips : list of GalleryChip
         The chips that have a usable JSON, most valuable first.
     problems : list of str
         What is wrong, a line each; starts with the name of the file.
     """
 
-    chips: list[Chip] = field(default_factory=list)
+    chips: list[GalleryChip] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
 
@@ -190,7 +190,7 @@ def _files(folder: Path, problems: list[str]) -> Iterator[Path]:
                 yield path
 
 
-def _checked(path: Path) -> Chip:
+def _checked(path: Path) -> GalleryChip:
     """Read a JSON and check its chip file; ValueError if the JSON cannot be used."""
     facts = json.loads(path.read_text(encoding='utf-8'))
     if not isinstance(facts, dict):
@@ -201,7 +201,7 @@ def _checked(path: Path) -> Chip:
         if not is_right(facts[key]):
             raise ValueError(f"key '{key}' is not {meaning}")
     chip = path.with_suffix(f'.{CODECS[facts["codec"]].suffix}')
-    return Chip(chip, facts, *_damage(chip, facts))
+    return GalleryChip(chip, facts, *_damage(chip, facts))
 
 
 def _damage(chip: Path, facts: dict[str, Any]) -> tuple[str, int | None]:
@@ -281,7 +281,9 @@ _KEYS: dict[str, tuple[str, Callable[[Any], bool]]] = {
 # Cards ----------------------------------------------------------------------------------------
 
 
-def _card(chip: Chip, numbers: dict[str, int], beside: Path, problems: list[str]) -> dict[str, Any]:
+def _card(
+    chip: GalleryChip, numbers: dict[str, int], beside: Path, problems: list[str]
+) -> dict[str, Any]:
     """Collect what the template shows of a chip."""
     facts = chip.facts
     class_id = printable(facts['class_id'])
@@ -313,7 +315,7 @@ def _corners(obb: list[float] | None) -> list[list[float]]:
     return boxes.corners[0].tolist() if boxes.valid[0] else []
 
 
-def _picture(chip: Chip, link: str, problems: list[str]) -> str | None:
+def _picture(chip: GalleryChip, link: str, problems: list[str]) -> str | None:
     """Give the source of a chip's picture: the file, or its content if it has to be converted."""
     if chip.size is None:
         return None
@@ -329,7 +331,7 @@ def _picture(chip: Chip, link: str, problems: list[str]) -> str | None:
         return None
 
 
-def _needs_conversion(chip: Chip) -> bool:
+def _needs_conversion(chip: GalleryChip) -> bool:
     """Say whether browsers do not show a chip, or show its 16 bits too dark."""
     if chip.facts['codec'] != 'png':
         return bool(chip.facts['codec'] == 'jpeg2000')
@@ -337,7 +339,7 @@ def _needs_conversion(chip: Chip) -> bool:
         return stream.read(_PNG_DEPTH + 1)[_PNG_DEPTH:] == b'\x10'
 
 
-def _converted(chip: Chip) -> str:
+def _converted(chip: GalleryChip) -> str:
     """Convert a chip to a small JPEG in a data URL; ValueError if it has not the size it should."""
     from PIL import Image
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The paper's grid search for q, f and s (Algorithm 2), and the search that refines its result.
+The paper's grid search for q, f and s (Algorithm 2).
 
 `Bench` prepares ships so that a setting costs little: the half-extents are computed once per q and
 f, and the shrink factor only scales them.
@@ -8,15 +8,12 @@ f, and the shrink factor only scales them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
 from obbhbb_ros.geometry.boxes import FloatArray
-from obbhbb_ros.geometry.converter import F_RANGE
 from obbhbb_ros.geometry.converter import S_RANGE
 from obbhbb_ros.geometry.methods import Method
 from obbhbb_ros.geometry.methods import get_method
@@ -24,8 +21,6 @@ from obbhbb_ros.study.metrics import Overlap
 from obbhbb_ros.study.metrics import area
 from obbhbb_ros.study.ships import Ships
 
-_FIRST_STEP = 0.08
-_LAST_STEP = 5e-4
 _HALVINGS = 40
 
 
@@ -36,10 +31,6 @@ class Grid:
     q: tuple[float, ...]
     f: tuple[float, ...]
     s: tuple[float, ...]
-
-    def q_alone(self) -> Grid:
-        """Return the candidates of q, with f and s at 1."""
-        return Grid(self.q, (1.0,), (1.0,))
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -131,23 +122,15 @@ class Bench:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """
-    Result of a grid search: figures of each setting, shape (Q, F, S).
-
-    Mean IoU, share of ships with an IoU of 0.5 or more, mean relative error (Eq. relerr).
-    """
+    """Result of a grid search: mean IoU and relative error (Eq. relerr), (Q, F, S)."""
 
     grid: Grid
     mean_iou: FloatArray
-    match50: FloatArray
     relative_error: FloatArray
 
-    def best(self, objective: str = 'mean_iou') -> tuple[float, float, float]:
-        """Return q, f and s of the best setting, the first of equals, as Algorithm 2 does."""
-        target = self.mean_iou
-        if objective == 'match50':
-            target = np.where(self.match50 == self.match50.max(), self.mean_iou, -1.0)
-        i, j, k = np.unravel_index(int(np.argmax(target)), target.shape)
+    def best(self) -> tuple[float, float, float]:
+        """Return q, f and s of the largest mean IoU, the first of equals, as Algorithm 2 does."""
+        i, j, k = np.unravel_index(int(np.argmax(self.mean_iou)), self.mean_iou.shape)
         return self.grid.q[i], self.grid.f[j], self.grid.s[k]
 
 
@@ -162,55 +145,12 @@ def search(bench: Bench, grid: Grid) -> Surface:
     >>> round(float(search(Bench(ships), GRIDS['paper']).mean_iou.max()), 2)
     0.9
     """
-    surface = Surface(grid, *(np.empty(grid.shape) for _ in range(3)))
+    surface = Surface(grid, *(np.empty(grid.shape) for _ in range(2)))
     for i, q in enumerate(grid.q):
         for j, f in enumerate(grid.f):
             extents = bench.extents(q, f)
             for k, s in enumerate(grid.s):
-                found = bench.overlap(extents * s)
-                surface.mean_iou[i, j, k] = found.iou.mean()
-                surface.match50[i, j, k] = found.match(0.5).mean()
-                surface.relative_error[i, j, k] = found.relative_error.mean()
+                overlap = bench.overlap(extents * s)
+                surface.mean_iou[i, j, k] = overlap.iou.mean()
+                surface.relative_error[i, j, k] = overlap.relative_error.mean()
     return surface
-
-
-class Point(NamedTuple):
-    """A setting to refine; u = 1 - 1/q runs from 0 for the rhombus to 1 for the rectangle."""
-
-    u: float
-    f: float
-    s: float
-
-    @property
-    def q(self) -> float:
-        """Shape exponent."""
-        return 1.0 / (1.0 - self.u) if self.u < 1.0 else float('inf')
-
-
-_LOWEST = Point(0.0, 0.05, 0.05)
-_HIGHEST = Point(1.0, F_RANGE[1], S_RANGE[1])
-# Up and down along each coordinate.
-_DIRECTIONS = np.kron(np.eye(3), [[1.0], [-1.0]])
-
-
-def refine(point: Point, value: Callable[[Point], tuple[float, ...]], free: int = 3) -> Point:
-    """
-    Climb from a setting, one coordinate at a time with halving steps (compass search).
-
-    Only the first `free` coordinates move.
-
-    It needs no derivative, which medians and shares do not have, and never ends below its start.
-    `value` is maximised; its tuples are compared from the front.
-    """
-    best = value(point)
-    step = _FIRST_STEP
-    while step >= _LAST_STEP:
-        moved = False
-        for direction in _DIRECTIONS[: 2 * free]:
-            other = Point(*np.clip(point + step * direction, _LOWEST, _HIGHEST).tolist())
-            found = value(other)
-            if found > best:
-                point, best, moved = other, found, True
-        if not moved:
-            step /= 2.0
-    return point

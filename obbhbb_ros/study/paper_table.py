@@ -63,6 +63,11 @@ class Comparison:
         """Ours minus the paper's."""
         return self.ours - self.paper
 
+    @property
+    def deviation_text(self) -> str:
+        """The deviation as text, or that the number was fitted."""
+        return 'fitted' if self.fitted else f'{self.deviation:+.3f}'
+
 
 def _relative_errors(ships: Ships, rule: HullRule) -> dict[str, float]:
     """Compute the mean relative error (Eq. relerr) of a rule by class."""
@@ -92,12 +97,12 @@ def paper_comparison() -> list[Comparison]:
     ]
 
 
-def mean_deviation(found: Sequence[Comparison], row: str) -> float:
+def mean_deviation(comparisons: Sequence[Comparison], row: str) -> float:
     """Average the absolute deviations of the predicted numbers of a row, N, M or S."""
-    return float(np.mean([abs(c.deviation) for c in found if c.row == row and not c.fitted]))
+    return float(np.mean([abs(c.deviation) for c in comparisons if c.row == row and not c.fitted]))
 
 
-def fit_ends(family: hulls.Family) -> hulls.Family:
+def fit_family(family: hulls.Family) -> hulls.Family:
     """
     Fit a family to the paper's row "N" at fullness 1.00.
 

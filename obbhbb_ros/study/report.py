@@ -15,21 +15,21 @@ import numpy as np
 
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.converter import convert_by_rule
-from obbhbb_ros.study import drawing
 from obbhbb_ros.study import evaluation
+from obbhbb_ros.study import figures
 from obbhbb_ros.study import grid_search
 from obbhbb_ros.study import hulls
 from obbhbb_ros.study import paper_table
-from obbhbb_ros.study.calibration import Plan
+from obbhbb_ros.study.calibration import CalibrationPlan
 from obbhbb_ros.study.cross_validation import run
 from obbhbb_ros.study.metrics import PROTOCOLS
 from obbhbb_ros.study.pages import environment
 from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.rules import TUNABLE_METHODS
 from obbhbb_ros.study.ships import Ships
-from obbhbb_ros.study.tables import known_figures
+from obbhbb_ros.study.tables import calibration_text
+from obbhbb_ros.study.tables import known_metrics
 from obbhbb_ros.study.tables import offset_notes
-from obbhbb_ros.study.tables import outcome_text
 
 SENSITIVITY_F = np.round(np.arange(0.5, 1.5001, 0.025), 3)
 WIDTHS = {'wide, L/W < 4': (1.0, 4.0), 'L/W 4-6': (4.0, 6.0), 'narrow, L/W >= 6': (6.0, np.inf)}
@@ -61,7 +61,7 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
         raise ValueError(f'gallery must be 0 or more, not {gallery}')
     known = ships.take(ships.with_reference) if ships.with_reference.any() else None
     protocol = 'obb' if known is None else 'hbb'
-    settings = evaluation.Settings(seed=seed)
+    settings = evaluation.EvaluationSettings(seed=seed)
     protocols = tuple(PROTOCOLS) if known else ('obb',)
     scores = evaluation.evaluate(ships, DEFAULT_RULES, protocols, settings)
     synthetic = hulls.synthetic_ships(seed=seed)
@@ -72,8 +72,8 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
         PROTOCOLS=PROTOCOLS,
         RULES=DEFAULT_RULES,
         TUNABLE_METHODS=TUNABLE_METHODS,
-        color_of=drawing.color_of,
-        known_figures=known_figures,
+        color_of=figures.color_of,
+        known_metrics=known_metrics,
     )
     return templates.get_template('report.html').render(
         title=title,
@@ -83,14 +83,14 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
         settings=settings,
         scores=evaluation.nested(scores),
         notes=offset_notes(evaluation.offsets(known, settings=settings)) if known else [],
-        angles=drawing.svg(drawing.angle_figure(scores)),
+        angles=figures.svg(figures.angle_figure(scores)),
         calibration=_calibration(known, seed) if known else None,
         comparison=comparison,
         deviations={
             row: paper_table.mean_deviation(comparison, row) for row in paper_table.PAPER_ROWS
         },
-        hulls=drawing.svg(drawing.hull_panel()),
-        errors=drawing.svg(drawing.error_figure(_best_errors(synthetic))),
+        hulls=figures.svg(figures.hull_panel()),
+        errors=figures.svg(figures.error_figure(_best_errors(synthetic))),
         synthetic=_parameter_figures(synthetic),
         protocol=protocol,
         cards=list(_cards(evaluation.ships_for(ships, protocol), protocol, gallery)),
@@ -100,8 +100,8 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
 def _calibration(known: Ships, seed: int) -> dict[str, Any]:
     """Calibrate on ships with reference boxes."""
     folds = min(_FOLDS, known.image_count)
-    outcome = run(known, Plan(seed=seed), folds, by_aspect=True, seed=seed) if folds > 1 else None
-    text = outcome_text(outcome) if outcome else None
+    outcome = run(known, CalibrationPlan(seed=seed), folds, by_aspect=True) if folds > 1 else None
+    text = calibration_text(outcome) if outcome else None
     return {'folds': folds, 'text': text, **_parameter_figures(known)}
 
 
@@ -109,8 +109,8 @@ def _parameter_figures(ships: Ships) -> dict[str, str]:
     """Draw how mean IoU depends on the parameters."""
     surfaces = {name: _paper_grid(ships, name) for name in TUNABLE_METHODS}
     return {
-        'surfaces': drawing.svg(drawing.surface_figure(surfaces)),
-        'sensitivity': drawing.svg(drawing.sensitivity_figure(SENSITIVITY_F, _sensitivity(ships))),
+        'surfaces': figures.svg(figures.surface_figure(surfaces)),
+        'sensitivity': figures.svg(figures.sensitivity_figure(SENSITIVITY_F, _sensitivity(ships))),
     }
 
 

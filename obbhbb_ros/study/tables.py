@@ -13,12 +13,13 @@ from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import metrics
-from obbhbb_ros.study.calibration import LEAST_GAIN
-from obbhbb_ros.study.calibration import OBJECTIVES
+from obbhbb_ros.study.bootstrap import Interval
+from obbhbb_ros.study.calibration import MIN_GAIN
 from obbhbb_ros.study.chip_costs import ENCODERS
 from obbhbb_ros.study.chip_costs import Cost
+from obbhbb_ros.study.coverage import Coverage
 from obbhbb_ros.study.cross_validation import CALIBRATED
-from obbhbb_ros.study.cross_validation import Outcome
+from obbhbb_ros.study.cross_validation import CalibrationResult
 from obbhbb_ros.study.paper_table import Comparison
 from obbhbb_ros.study.rules import TUNABLE_METHODS
 from obbhbb_ros.text_tables import text_table
@@ -26,13 +27,13 @@ from obbhbb_ros.text_tables import text_table
 
 def score_tables(
     scores: Sequence[evaluation.Score],
-    settings: evaluation.Settings = evaluation.DEFAULT_SETTINGS,
-    found: Sequence[evaluation.Offset] = (),
+    settings: evaluation.EvaluationSettings = evaluation.DEFAULT_SETTINGS,
+    offsets: Sequence[evaluation.Offset] = (),
 ) -> str:
     """
-    Tabulate scores: for each protocol all figures over all ships, then mean IoU by stratum.
+    Tabulate scores: for each protocol every metric over all ships, then mean IoU by stratum.
 
-    With offsets `found`, they follow, and a note if there is a significant one.
+    The offsets follow, if there are any, with a note for significant ones.
     """
     parts = []
     for protocol, by_stratum in evaluation.nested(scores).items():
@@ -44,135 +45,128 @@ def score_tables(
         parts.append(f'{title}\n{_score_table(overall, settings)}')
         rows = []
         for stratum, by_method in by_stratum.items():
-            mine = list(by_method.values())
-            rows.append([stratum, str(mine[0].ships), *(f'{score.iou:.4f}' for score in mine)])
+            of_stratum = list(by_method.values())
+            means = [f'{score.iou:.4f}' for score in of_stratum]
+            rows.append([stratum, str(of_stratum[0].ships), *means])
         table = text_table(['stratum', 'ships', *by_stratum[evaluation.ALL]], rows)
         parts.append(f'mean IoU by stratum, {title}\n{table}')
-    if found:
-        parts.append(f'median offset from the reference box, px\n{_offset_table(found)}')
-        parts += offset_notes(found)
+    if offsets:
+        parts.append(f'median offset from the reference box, px\n{_offset_table(offsets)}')
+        parts += offset_notes(offsets)
     return '\n\n'.join(parts)
 
 
-def known_figures(scores: Sequence[evaluation.Score]) -> dict[str, evaluation.Figure]:
-    """Select the figures that are known of any of the scores."""
+def known_metrics(scores: Sequence[evaluation.Score]) -> dict[str, evaluation.Metric]:
+    """Select the metrics that are known for at least one of the scores."""
     return {
-        name: figure
-        for name, figure in evaluation.FIGURES.items()
+        name: metric
+        for name, metric in evaluation.METRICS.items()
         if not all(np.isnan(getattr(score, name)) for score in scores)
     }
 
 
-def _score_table(scores: Sequence[evaluation.Score], settings: evaluation.Settings) -> str:
-    """Tabulate the figures of methods."""
-    shown = known_figures(scores)
-    head = ['method', 'q / f / s', *(each.heading(settings) for each in shown.values())]
+def _score_table(
+    scores: Sequence[evaluation.Score], settings: evaluation.EvaluationSettings
+) -> str:
+    """Tabulate the metrics of methods."""
+    shown = known_metrics(scores)
+    head = ['method', 'q / f / s', *(metric.heading(settings) for metric in shown.values())]
     rows = []
     for score in scores:
-        cells = [f'{getattr(score, name):{each.form}}' for name, each in shown.items()]
-        rows.append([score.method, _tuned(score), *cells])
-    interval = [
+        cells = [f'{getattr(score, name):{metric.form}}' for name, metric in shown.items()]
+        rows.append([score.method, tuned_text(score), *cells])
+    intervals = [
         '' if np.isnan(score.iou_low) else f'{score.iou_low:.3f}-{score.iou_high:.3f}'
         for score in scores
     ]
     # Next to the mean IoU.
-    for line, cell in zip([head, *rows], ['95 % interval', *interval], strict=True):
+    for line, cell in zip([head, *rows], ['95 % interval', *intervals], strict=True):
         line.insert(3, cell)
     return text_table(head, rows)
 
 
-def _tuned(score: evaluation.Score) -> str:
-    """Format the parameters of a method that has any."""
+def tuned_text(score: evaluation.Score) -> str:
+    """Format the parameters of a method; empty for one without."""
     if score.method not in TUNABLE_METHODS:
         return ''
     ends = {'bow': score.q_bow, 'stern': score.q_stern}
-    given = [f', {name} {q:.4g}' for name, q in ends.items() if q is not None]
-    return f'{score.q:.4g} / {score.f:.4g} / {score.s:.4g}{"".join(given)}'
+    texts = [f', {name} {q:.4g}' for name, q in ends.items() if q is not None]
+    return f'{score.q:.4g} / {score.f:.4g} / {score.s:.4g}{"".join(texts)}'
 
 
-def _offset_table(found: Sequence[evaluation.Offset]) -> str:
+def _offset_table(offsets: Sequence[evaluation.Offset]) -> str:
     """Tabulate offsets of centres and sides."""
     rows = [
         [
-            each.method,
-            f'{each.x:+.2f}',
-            _range(each.x_interval),
-            f'{each.y:+.2f}',
-            _range(each.y_interval),
-            *(f'{side:+.2f}' for side in (each.left, each.top, each.right, each.bottom)),
+            offset.method,
+            f'{offset.x:+.2f}',
+            _pixel_range(offset.x_interval),
+            f'{offset.y:+.2f}',
+            _pixel_range(offset.y_interval),
+            *(f'{side:+.2f}' for side in (offset.left, offset.top, offset.right, offset.bottom)),
         ]
-        for each in found
+        for offset in offsets
     ]
-    head = [
-        'method',
-        'centre x',
-        '95 % interval',
-        'centre y',
-        '95 % interval',
-        'left',
-        'top',
-        'right',
-        'bottom',
-    ]
-    return text_table(head, rows)
+    centre = ('centre x', '95 % interval', 'centre y', '95 % interval')
+    return text_table(('method', *centre, 'left', 'top', 'right', 'bottom'), rows)
 
 
-def _range(interval: evaluation.Interval) -> str:
+def _pixel_range(interval: Interval) -> str:
     """Format an interval of pixels."""
     return '' if np.isnan(interval.low) else f'{interval.low:+.2f} to {interval.high:+.2f}'
 
 
-def offset_notes(found: Sequence[evaluation.Offset]) -> list[str]:
+def offset_notes(offsets: Sequence[evaluation.Offset]) -> list[str]:
     """Warn of significant offsets, in one line each; methods with the same offset share one."""
     methods: dict[str, list[str]] = {}
-    for each in found:
-        if each.significant:
+    for offset in offsets:
+        if offset.significant:
             where = (
-                f'{each.x:+.2f} px in x ({_range(each.x_interval)}) and '
-                f'{each.y:+.2f} px in y ({_range(each.y_interval)})'
+                f'{offset.x:+.2f} px in x ({_pixel_range(offset.x_interval)}) and '
+                f'{offset.y:+.2f} px in y ({_pixel_range(offset.y_interval)})'
             )
-            methods.setdefault(where, []).append(each.method)
+            methods.setdefault(where, []).append(offset.method)
     return [
         f'note: significant offset from the reference boxes: {where}'
-        + ('' if len(names) == len(found) else f', {", ".join(names)}')
+        + ('' if len(names) == len(offsets) else f', {", ".join(names)}')
         for where, names in methods.items()
     ]
 
 
-def outcome_text(outcome: Outcome) -> str:
-    """Describe the result of a calibration: rule, held-out figures, gains, guarantee."""
-    plan = outcome.plan
+def calibration_text(result: CalibrationResult) -> str:
+    """Describe the result of a calibration: rule, held-out metrics, gains, guarantee."""
+    plan = result.calibrator.plan
     parts = [
-        f'{plan.method} for {OBJECTIVES[plan.objective].summary}, '
-        f'{len(outcome.ships)} ships in {outcome.ships.image_count} images: '
-        f'{_parameters(outcome.rule)}'
+        f'{plan.method} for {plan.objective.summary}, '
+        f'{len(result.ships)} ships in {result.ships.image_count} images: '
+        f'{rule_text(result.rule)}'
     ]
-    if outcome.held_out:
-        parts.append(_held_out_table(outcome))
-    if trials := _trial_lines(outcome):
-        parts.append('\n'.join(trials))
-    if outcome.rule_of_aspect:
+    if result.held_out:
+        parts.append(_held_out_table(result))
+    if lines := _decision_lines(result):
+        parts.append('\n'.join(lines))
+    if result.rule_of_aspect:
         bands = [
-            (f'{low:.2f} to {high:.2f}', _parameters(rule))
-            for low, high, rule in outcome.rule_of_aspect
+            (f'{low:.2f} to {high:.2f}', rule_text(rule))
+            for low, high, rule in result.rule_of_aspect
         ]
         parts.append(text_table(('L/W', 'rule'), bands))
-    if outcome.gains:
-        parts.append('\n'.join(map(str, outcome.gains)))
-    if outcome.rule_of_class:
-        classes = [(name, _parameters(rule)) for name, rule in outcome.rule_of_class.items()]
+    if result.gains:
+        parts.append('\n'.join(map(str, result.gains)))
+    if result.rule_of_class:
+        classes = [(name, rule_text(rule)) for name, rule in result.rule_of_class.items()]
         parts.append(text_table(('class', 'rule'), classes))
-    if plan.objective == 'coverage':
-        parts.append(_guarantee(outcome))
-    return '\n\n'.join(parts + outcome.notes)
+    if isinstance(plan.objective, Coverage):
+        parts.append(_guarantee(result, plan.objective))
+    return '\n\n'.join([*parts, *result.notes])
 
 
-def _held_out_table(outcome: Outcome) -> str:
-    """Tabulate the figures on held-out images."""
+def _held_out_table(result: CalibrationResult) -> str:
+    """Tabulate the metrics on held-out images."""
     rows = []
-    for name, found in outcome.held_out.items():
-        mean = {key: value.mean() for key, value in found.items()}
-        low, high = outcome.interval(name)
+    for name, values in result.held_out.items():
+        mean = {key: value.mean() for key, value in values.items()}
+        low, high = result.interval(name)
         rows.append(
             (
                 name,
@@ -190,48 +184,51 @@ def _held_out_table(outcome: Outcome) -> str:
         '95 % interval',
         'match50',
         'undershoot',
-        f'keep {outcome.plan.keep:.0%}',
+        f'keep {result.calibrator.plan.objective.keep:.0%}',
         'area/outer',
     )
     return text_table(head, rows)
 
 
-def _trial_lines(outcome: Outcome) -> list[str]:
-    """Say what was tried beside q, what it gained and whether it was fitted."""
-    plan, trials = outcome.plan, outcome.trials
-    with_bow = outcome.ships.with_bow.sum()
-    tried = {
-        ('f' if plan.objective == 'coverage' else 'f and s') + ' over q alone': trials.over_q,
-        f'q_bow and q_stern over q, {with_bow} ships with a known bow': trials.ends,
+def _decision_lines(result: CalibrationResult) -> list[str]:
+    """Report what was tried beside q, what it gained and whether it was fitted."""
+    calibrator = result.calibrator
+    objective = calibrator.plan.objective
+    beside_q = ' and '.join(objective.parameters[1:])
+    ends = f'q_bow and q_stern over q, {result.ships.with_bow.sum()} ships with a known bow'
+    gains = {
+        f'{beside_q} over q alone': calibrator.gain_of_f_and_s,
+        ends: calibrator.gain_of_ends,
     }
-    unit = OBJECTIVES[plan.objective].unit
+    unit = objective.unit
     return [
         f'{name}: gain {gain:+.4f} of held-out {unit}, fitted'
-        if gain >= LEAST_GAIN
-        else f'{name}: gain none ({gain:+.4f} of held-out {unit}, below {LEAST_GAIN:g}), not fitted'
-        for name, gain in tried.items()
+        if gain >= MIN_GAIN
+        else f'{name}: gain none ({gain:+.4f} of held-out {unit}, below {MIN_GAIN:g}), not fitted'
+        for name, gain in gains.items()
         if gain is not None
     ]
 
 
-def _guarantee(outcome: Outcome) -> str:
+def _guarantee(result: CalibrationResult, objective: Coverage) -> str:
     """State what a calibration for coverage guarantees, on what condition, and its scatter."""
-    plan = outcome.plan
-    unit = 'ships' if plan.per_image == 1 else f'images of at most {plan.per_image} ships'
+    per_image = objective.per_image
+    unit = 'ships' if per_image == 1 else f'images of at most {per_image} ships'
     text = (
-        f'Guarantee: a new ship keeps {plan.keep:.0%} of its reference box with a probability of '
-        f'at least {plan.share:.0%},\nif new {unit} are exchangeable with those that gave s '
+        f'Guarantee: a new ship keeps {objective.keep:.0%} of its reference box with a probability '
+        f'of at least {objective.share:.0%},\n'
+        f'if new {unit} are exchangeable with those that gave s '
         '(half of the images; the others gave q and f).'
     )
-    if outcome.covered:
-        low, high = outcome.covered
+    if result.scatter:
+        low, high = result.scatter
         text += (
             f'\nIt holds on average. One calibration, counted on as many new images, lands between '
             f'{low:.1%} and {high:.1%}\n(95 % interval over images; ships of an image are alike).'
         )
-    if outcome.held_out:
-        low, high = outcome.interval(CALIBRATED, 'kept')
-        share = outcome.held_out[CALIBRATED]['kept'].mean()
+    if result.held_out:
+        low, high = result.interval(CALIBRATED, 'kept')
+        share = result.held_out[CALIBRATED]['kept'].mean()
         text += (
             f'\nHeld out, {share:.1%} of the ships keep it ({low:.1%} to {high:.1%}, '
             '95 % interval over images).'
@@ -239,20 +236,21 @@ def _guarantee(outcome: Outcome) -> str:
     return text
 
 
-def _parameters(rule: HullRule) -> str:
+def rule_text(rule: HullRule) -> str:
     """Format the parameters of a rule."""
     values = {'q': rule.q, 'f': rule.f, 's': rule.s, 'q_bow': rule.q_bow, 'q_stern': rule.q_stern}
-    return ', '.join(f'{name} {each:.4g}' for name, each in values.items() if each is not None)
+    return ', '.join(f'{name} {value:.4g}' for name, value in values.items() if value is not None)
 
 
-def comparison_table(found: Sequence[Comparison]) -> str:
+def comparison_table(comparisons: Sequence[Comparison]) -> str:
     """Tabulate the paper's Table 1, our numbers and the deviations, from `paper_comparison`."""
-    families = list(dict.fromkeys(each.family for each in found))
+    families = list(dict.fromkeys(comparison.family for comparison in comparisons))
     rows: dict[str, list[str]] = {}
-    for each in sorted(found, key=lambda each: each.fullness):
-        name = f'{each.fullness:.2f} {each.row}'
-        deviation = 'fitted' if each.fitted else f'{each.deviation:+.3f}'
-        rows.setdefault(name, [name]).append(f'{each.paper:.3f}  {each.ours:.3f}  {deviation}')
+    for comparison in sorted(comparisons, key=lambda comparison: comparison.fullness):
+        name = f'{comparison.fullness:.2f} {comparison.row}'
+        rows.setdefault(name, [name]).append(
+            f'{comparison.paper:.3f}  {comparison.ours:.3f}  {comparison.deviation_text}'
+        )
     return text_table(['paper, ours, deviation', *families], list(rows.values()))
 
 

@@ -13,7 +13,7 @@ from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.nodes.demo import xyxy_of
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.study.harbour import harbour
-from obbhbb_ros.study.parameter_file import yaml_text
+from obbhbb_ros.study.rule_file import yaml_text
 
 RULE = HullRule('superellipse', 3.5058, 1.0037, 0.995)
 OWN = {

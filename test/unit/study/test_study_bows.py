@@ -18,18 +18,22 @@ from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.study.bows import bow_sides
 from obbhbb_ros.study.bows import with_bows
-from obbhbb_ros.study.calibration import Plan
+from obbhbb_ros.study.calibration import CalibrationPlan
+from obbhbb_ros.study.calibration import Fit
 from obbhbb_ros.study.calibration import bow_gain
 from obbhbb_ros.study.calibration import calibrate
-from obbhbb_ros.study.calibration import fit_ends
-from obbhbb_ros.study.calibration import split
+from obbhbb_ros.study.calibration import decide
+from obbhbb_ros.study.calibration import fit_bow_and_stern
+from obbhbb_ros.study.coverage import Coverage
 from obbhbb_ros.study.cross_validation import run
+from obbhbb_ros.study.folds import split
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.hulls import FAMILIES
 from obbhbb_ros.study.hulls import synthetic_ships
 from obbhbb_ros.study.metrics import iou
+from obbhbb_ros.study.objectives import MeanIou
 from obbhbb_ros.study.ships import Ships
-from obbhbb_ros.study.tables import outcome_text
+from obbhbb_ros.study.tables import calibration_text
 
 # In the unit box, bow at +x.
 POINTED = np.array([(-1.0, -1.0), (0.5, -1.0), (1.0, 0.0), (0.5, 1.0), (-1.0, 1.0)])
@@ -138,16 +142,16 @@ def test_ends_that_gain_nothing_are_not_fitted(ships) -> None:
 
 
 @pytest.mark.parametrize(
-    'values', [{'method': 'shape_aware'}, {'objective': 'coverage'}, {'ends': False}]
+    'values', [{'method': 'shape_aware'}, {'objective': Coverage()}, {'ends': Fit.NEVER}]
 )
 def test_only_what_has_ends_gets_them(values) -> None:
-    rule = calibrate(heading(), Plan(**values))
+    rule = calibrate(heading(), CalibrationPlan(**values))
     assert (rule.q_bow, rule.q_stern) == (None, None)
 
 
 def test_ends_are_refused_for_a_rule_without() -> None:
     with pytest.raises(ValueError, match='shape_aware has no q_bow and q_stern'):
-        fit_ends(heading(), HullRule('shape_aware'), Plan('shape_aware'))
+        fit_bow_and_stern(heading(), HullRule('shape_aware'), MeanIou())
 
 
 def test_ends_fitted_on_one_half_of_the_images_gain_on_the_other() -> None:
@@ -157,19 +161,23 @@ def test_ends_fitted_on_one_half_of_the_images_gain_on_the_other() -> None:
     assert 0.4 < ships.with_bow.mean() < 0.6
     known, new = split(ships.take(ships.with_bow))
     one, two = (
-        iou(convert_by_rule(new.boxes, calibrate(known, Plan(ends=ends))), new.reference).mean()
-        for ends in (False, True)
+        iou(
+            convert_by_rule(new.boxes, calibrate(known, CalibrationPlan(ends=ends))), new.reference
+        ).mean()
+        for ends in (Fit.NEVER, Fit.ALWAYS)
     )
     assert two - one > 0.01
-    assert bow_gain(ships, Plan()) > 0.01
+    assert bow_gain(ships, decide(ships, CalibrationPlan())) > 0.01
 
 
 def test_the_result_says_what_the_ends_gain() -> None:
-    outcome = run(heading(noise=0.5), Plan(), folds=3)
-    text = outcome_text(outcome)
+    result = run(heading(noise=0.5), CalibrationPlan(), folds=3)
+    text = calibration_text(result)
     assert 'q_bow and q_stern over q, 120 ships with a known bow: gain +0.0' in text
-    assert f'q_bow {outcome.rule.q_bow:.4g}, q_stern {outcome.rule.q_stern:.4g}' in text
-    assert 'known bow: gain none' in outcome_text(run(heading(rule=HullRule()), Plan(), folds=3))
+    assert f'q_bow {result.rule.q_bow:.4g}, q_stern {result.rule.q_stern:.4g}' in text
+    assert 'known bow: gain none' in calibration_text(
+        run(heading(rule=HullRule()), CalibrationPlan(), folds=3)
+    )
 
 
 def test_calibrate_writes_the_ends_that_it_fits_and_only_those(tmp_path, capsys) -> None:
@@ -204,9 +212,9 @@ def test_calibrate_writes_the_ends_that_it_fits_and_only_those(tmp_path, capsys)
 def test_groups_keep_the_ends_except_classes() -> None:
     ships = heading(300, noise=0.3)
     ships = replace(ships, class_ids=np.array(['tug', 'ship'] * 150))
-    outcome = run(ships, Plan(), folds=2, per_class=True, by_aspect=True)
-    assert all(rule.q_bow is not None for _, _, rule in outcome.rule_of_aspect)
-    assert outcome.rule_of_class == {}
+    result = run(ships, CalibrationPlan(), folds=2, per_class=True, by_aspect=True)
+    assert all(rule.q_bow is not None for _, _, rule in result.rule_of_aspect)
+    assert result.rule_of_class == {}
 
 
 def test_bows_of_synthetic_ships_come_from_their_hulls_only(capsys) -> None:

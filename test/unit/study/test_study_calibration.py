@@ -15,19 +15,22 @@ from hypothesis import strategies as st
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
-from obbhbb_ros.study.calibration import LEAST_GAIN
-from obbhbb_ros.study.calibration import Plan
+from obbhbb_ros.study.calibration import MIN_GAIN
+from obbhbb_ros.study.calibration import OBJECTIVES
+from obbhbb_ros.study.calibration import CalibrationPlan
+from obbhbb_ros.study.calibration import Fit
 from obbhbb_ros.study.calibration import calibrate
-from obbhbb_ros.study.calibration import conformal_rank
-from obbhbb_ros.study.calibration import covered_shares
 from obbhbb_ros.study.calibration import decide
 from obbhbb_ros.study.calibration import enough
-from obbhbb_ros.study.calibration import folds_of
 from obbhbb_ros.study.calibration import gain_over_q
-from obbhbb_ros.study.calibration import split
+from obbhbb_ros.study.calibration import make_objective
+from obbhbb_ros.study.coverage import Coverage
+from obbhbb_ros.study.coverage import conformal_rank
 from obbhbb_ros.study.cross_validation import aspect_groups
 from obbhbb_ros.study.cross_validation import class_groups
 from obbhbb_ros.study.cross_validation import held_out_boxes
+from obbhbb_ros.study.folds import folds_of
+from obbhbb_ros.study.folds import split
 from obbhbb_ros.study.grid_search import GRIDS
 from obbhbb_ros.study.grid_search import Bench
 from obbhbb_ros.study.grid_search import Grid
@@ -35,6 +38,8 @@ from obbhbb_ros.study.grid_search import search
 from obbhbb_ros.study.hulls import synthetic_ships
 from obbhbb_ros.study.metrics import iou
 from obbhbb_ros.study.metrics import overlap_with_hbb
+from obbhbb_ros.study.objectives import Match50
+from obbhbb_ros.study.objectives import MeanIou
 from obbhbb_ros.study.ships import read_ships
 
 SMALL = Grid(q=(2.0, 3.0), f=(0.9, 1.0), s=(0.95, 1.0))
@@ -98,17 +103,19 @@ def test_a_grid_search_is_algorithm_2(real, method) -> None:
     assert surface.best() == (SMALL.q[i], SMALL.f[j], SMALL.s[k])
 
 
-def test_the_grid_also_counts_matches_and_area_errors(real) -> None:
-    surface = search(Bench(real), Grid((2.5,), (0.9,), (1.1,)))
+def test_the_grid_also_has_area_errors_and_the_objective_matches(real) -> None:
+    bench = Bench(real)
+    surface = search(bench, Grid((2.5,), (0.9,), (1.1,)))
     xyxy = convert_by_rule(real.boxes, HullRule('superellipse', 2.5, 0.9, 1.1))
-    found = overlap_with_hbb(xyxy, real.reference)
-    assert surface.match50.item() == found.match(0.5).mean()
-    assert surface.relative_error.item() == pytest.approx(found.relative_error.mean())
+    overlap = overlap_with_hbb(xyxy, real.reference)
+    match50, _ = Match50().value(bench, bench.extents(2.5, 0.9) * 1.1)
+    assert match50 == overlap.match(0.5).mean()
+    assert surface.relative_error.item() == pytest.approx(overlap.relative_error.mean())
 
 
 def test_without_refinement_the_best_of_the_grid_is_the_result(real) -> None:
     best = search(Bench(real), GRIDS['paper']).best()
-    assert calibrate(real, Plan(refine=False)) == HullRule('superellipse', *best)
+    assert calibrate(real, CalibrationPlan(refine=False)) == HullRule('superellipse', *best)
 
 
 @pytest.mark.parametrize(
@@ -116,18 +123,19 @@ def test_without_refinement_the_best_of_the_grid_is_the_result(real) -> None:
 )
 def test_the_rule_that_made_the_references_is_found(rule) -> None:
     ships = made_by(rule)
-    found = calibrate(ships, Plan(rule.method))
+    found = calibrate(ships, CalibrationPlan(rule.method))
     assert iou(convert_by_rule(ships.boxes, found), ships.reference).mean() > 0.998
 
 
-@pytest.mark.parametrize('objective', ['mean_iou', 'match50'])
+@pytest.mark.parametrize('objective', [MeanIou(), Match50()])
 def test_refinement_never_loses_to_the_grid(real, objective) -> None:
     def worth(rule):
         overlap = iou(convert_by_rule(real.boxes, rule), real.reference)
-        return (np.mean(overlap >= 0.5) if objective == 'match50' else 0.0), overlap.mean()
+        return (np.mean(overlap >= 0.5) if objective == Match50() else 0.0), overlap.mean()
 
     coarse, fine = (
-        worth(calibrate(real, Plan(objective=objective, refine=refine))) for refine in (False, True)
+        worth(calibrate(real, CalibrationPlan(objective=objective, refine=refine)))
+        for refine in (False, True)
     )
     # Rounding the parameters to four decimals costs next to nothing.
     assert np.subtract(fine, coarse).min() > -1e-5
@@ -139,8 +147,8 @@ def test_match50_prefers_matches_to_mean_iou() -> None:
     small, large = [-17, -4.25, 17, 4.25], [-40, -10, 40, 10]
     ships = fleet(rows, [small] * 7 + [large] * 3, images=range(10))
     grid = Grid((3.0,), (1.0,), (0.85, 1.1, 1.2))
-    by_match = calibrate(ships, Plan(objective='match50', grid=grid, refine=False))
-    by_mean = calibrate(ships, Plan(grid=grid, refine=False))
+    by_match = calibrate(ships, CalibrationPlan(objective=Match50(), grid=grid, refine=False))
+    by_mean = calibrate(ships, CalibrationPlan(grid=grid, refine=False))
     overlap = {
         rule.s: iou(convert_by_rule(ships.boxes, rule), ships.reference)
         for rule in (by_match, by_mean)
@@ -208,7 +216,7 @@ def test_the_share_is_kept_on_average_over_new_ships(share, part) -> None:
     for seed in range(40):
         known = made_by(HullRule('superellipse', 2.5), 120, seed, noise=0.04)
         new = made_by(HullRule('superellipse', 2.5), 400, 1000 + seed, noise=0.04)
-        plan = Plan(objective='coverage', grid=SMALL, refine=False, keep=part, share=share)
+        plan = CalibrationPlan(objective=Coverage(part, share), grid=SMALL, refine=False)
         shares.append(kept(new, calibrate(known, plan), part))
     # The guarantee holds for the mean; 40 calibrations tell it to about a percent.
     assert share - 0.012 < np.mean(shares) < share + 0.03
@@ -216,7 +224,7 @@ def test_the_share_is_kept_on_average_over_new_ships(share, part) -> None:
 
 def test_the_guarantee_for_images_holds_where_ships_of_an_image_are_alike() -> None:
     misses, total = 0.0, 0.0
-    plan = Plan(objective='coverage', grid=SMALL, refine=False, keep=0.9, share=0.8, per_image=5)
+    plan = CalibrationPlan(objective=Coverage(0.9, 0.8, per_image=5), grid=SMALL, refine=False)
     for seed in range(25):
         known, new = (alike(images=60, seed=s) for s in (seed, 500 + seed))
         rule = calibrate(known, plan)
@@ -241,7 +249,7 @@ def fleet_with(ships, reference):
 
 
 def test_coverage_asks_for_more_ships_than_there_are() -> None:
-    plan = Plan(objective='coverage', grid=SMALL)
+    plan = CalibrationPlan(objective=Coverage(), grid=SMALL)
     with pytest.raises(ValueError, match=r'10 ships are too few .* it takes 19'):
         calibrate(made_by(HullRule(), 20), plan)
 
@@ -250,24 +258,38 @@ def test_references_of_other_ships_cannot_be_covered() -> None:
     ships = made_by(HullRule(), 60)
     far = fleet_with(ships, ships.reference + 5000.0)
     with pytest.raises(ValueError, match='no s up to 2'):
-        calibrate(far, Plan(objective='coverage', grid=SMALL, refine=False))
+        calibrate(far, CalibrationPlan(objective=Coverage(), grid=SMALL, refine=False))
 
 
 @pytest.mark.parametrize(
+    ('method', 'message'),
+    [('outer', 'outer has no parameters'), ('magic', 'method must be one of')],
+)
+def test_a_plan_for_a_method_without_parameters_is_refused(method, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        CalibrationPlan(method)
+
+
+@pytest.mark.parametrize('name', OBJECTIVES)
+@pytest.mark.parametrize(
     ('values', 'message'),
     [
-        ({'method': 'outer'}, 'outer has no parameters'),
-        ({'method': 'magic'}, 'method must be one of'),
-        ({'objective': 'best'}, 'objective must be one of mean_iou, match50, coverage'),
         ({'keep': 0.0}, 'keep must be in'),
         ({'share': 1.0}, 'share must be in'),
-        ({'fit': 'most'}, 'fit must be one of auto, all, q'),
         ({'per_image': 0}, 'per_image must be 1 or more'),
     ],
 )
-def test_a_plan_that_makes_no_sense_is_refused(values, message) -> None:
+def test_an_objective_that_makes_no_sense_is_refused(name, values, message) -> None:
     with pytest.raises(ValueError, match=message):
-        Plan(**values)
+        make_objective(name, **values)
+
+
+def test_an_objective_is_made_by_its_name() -> None:
+    for name, objective in OBJECTIVES.items():
+        assert make_objective(name) == objective()
+    assert make_objective('match50', keep=0.9).keep == 0.9
+    with pytest.raises(ValueError, match='objective must be one of mean_iou, match50, coverage'):
+        make_objective('best')
 
 
 def test_ships_without_reference_cannot_be_learnt_from() -> None:
@@ -298,14 +320,14 @@ def test_folds_that_cannot_be_filled_are_refused(real, folds) -> None:
 
 def test_a_ship_is_converted_by_what_was_learnt_from_other_images() -> None:
     ships = made_by(HullRule(), 60, per_image=20)
-    plan, seen = Plan(grid=SMALL, refine=False), []
+    plan, seen = CalibrationPlan(grid=SMALL, refine=False), []
 
     def ungrouped(known, new):
         if new is not known:
             seen.append((known, new))
         return np.full(len(new), -1)
 
-    xyxy = held_out_boxes(ships, plan, folds=3, grouping=ungrouped)
+    xyxy = held_out_boxes(ships, decide(ships, plan), folds=3, grouping=ungrouped)
     assert len(seen) == 3
     for known, new in seen:
         assert not set(known.names) & set(new.names)
@@ -316,7 +338,7 @@ def test_a_ship_is_converted_by_what_was_learnt_from_other_images() -> None:
 
 
 def test_held_out_figures_of_real_ships_beat_the_papers_setting(real) -> None:
-    xyxy = held_out_boxes(real, Plan(), folds=4)
+    xyxy = held_out_boxes(real, decide(real, CalibrationPlan()), folds=4)
     # 0.82121 with the paper's rule and numbers, see test_study_evaluation.
     assert iou(xyxy, real.reference).mean() > 0.91
 
@@ -335,9 +357,10 @@ def test_classes_of_different_hulls_gain_by_rules_of_their_own() -> None:
         ['yacht'] * 80 + ['barge'] * 80,
         range(160),
     )
-    shared = held_out_boxes(both, Plan(), 2)
+    calibrator = decide(both, CalibrationPlan())
+    shared = held_out_boxes(both, calibrator, 2)
     by_class = partial(class_groups, ['yacht', 'barge'])
-    own = held_out_boxes(both, Plan(), 2, grouping=by_class)
+    own = held_out_boxes(both, calibrator, 2, grouping=by_class)
     assert iou(own, both.reference).mean() > 0.99
     assert iou(shared, both.reference).mean() < 0.95
 
@@ -352,10 +375,10 @@ def test_bands_of_aspect_are_cut_where_the_known_ships_are() -> None:
 @pytest.mark.parametrize(
     ('count', 'plan', 'answer'),
     [
-        (29, Plan(), False),
-        (30, Plan(), True),
-        (30, Plan(objective='coverage'), False),
-        (38, Plan(objective='coverage'), True),
+        (29, CalibrationPlan(), False),
+        (30, CalibrationPlan(), True),
+        (30, CalibrationPlan(objective=Coverage()), False),
+        (38, CalibrationPlan(objective=Coverage()), True),
     ],
 )
 def test_a_group_is_large_enough_or_not(count, plan, answer) -> None:
@@ -376,36 +399,36 @@ def test_the_synthetic_hulls_prefer_the_exact_projection() -> None:
 
 def test_q_alone_is_fitted_where_f_and_s_gain_nothing() -> None:
     ships = made_by(HullRule('superellipse', 3.3), noise=0.03)
-    assert gain_over_q(ships, Plan()) < LEAST_GAIN
+    assert gain_over_q(ships, CalibrationPlan()) < MIN_GAIN
     rule = calibrate(ships)
     assert (rule.f, rule.s) == (1.0, 1.0)
     assert rule.q == pytest.approx(3.3, rel=0.1)
     # Fitted all the same, they drift.
-    assert calibrate(ships, Plan(fit='all')) != rule
-    assert calibrate(ships, Plan(fit='q')) == rule
+    assert calibrate(ships, CalibrationPlan(f_and_s=Fit.ALWAYS)) != rule
+    assert calibrate(ships, CalibrationPlan(f_and_s=Fit.NEVER)) == rule
 
 
 def test_f_and_s_are_fitted_where_references_are_larger_than_any_hull() -> None:
     ships = made_by(HullRule('superellipse', 3.0, 1.0, 1.1))
-    assert gain_over_q(ships, Plan()) > 0.01
+    assert gain_over_q(ships, CalibrationPlan()) > 0.01
     rule = calibrate(ships)
-    assert rule == calibrate(ships, Plan(fit='all'))
+    assert rule == calibrate(ships, CalibrationPlan(f_and_s=Fit.ALWAYS))
     assert rule.s > 1.05
-    assert calibrate(ships, Plan(fit='q')).s == 1.0
+    assert calibrate(ships, CalibrationPlan(f_and_s=Fit.NEVER)).s == 1.0
 
 
 def test_one_image_shows_no_gain_so_q_alone_is_fitted() -> None:
     ships = made_by(HullRule('superellipse', 3.0, 1.0, 1.1), count=40, per_image=40)
-    assert gain_over_q(ships, Plan()) == 0.0
+    assert gain_over_q(ships, CalibrationPlan()) == 0.0
     assert calibrate(ships).s == 1.0
 
 
 def test_for_coverage_f_is_decided_on_the_half_that_does_not_give_s() -> None:
     ships = made_by(HullRule('superellipse', 3.0), noise=0.03)
-    plan, trials = decide(ships, Plan(objective='coverage'))
-    half = split(ships)[0]
-    assert trials.over_q == gain_over_q(half, Plan(objective='coverage'))
-    assert plan.fit == ('all' if trials.over_q >= LEAST_GAIN else 'q')
+    plan = CalibrationPlan(objective=Coverage())
+    calibrator = decide(ships, plan)
+    assert calibrator.gain_of_f_and_s == gain_over_q(split(ships)[0], plan)
+    assert calibrator.f_and_s == (calibrator.gain_of_f_and_s >= MIN_GAIN)
 
 
 def upright(scales):
@@ -415,15 +438,14 @@ def upright(scales):
 
 
 def test_where_all_ships_need_the_same_s_all_keep_enough() -> None:
-    plan = Plan(objective='coverage', keep=0.9, share=0.8)
-    assert covered_shares(upright([1.1] * 40), HullRule(), plan, samples=50) == (1.0, 1.0)
+    ships = upright([1.1] * 40)
+    assert Coverage(0.9, 0.8).scatter(ships, HullRule(), seed=0, draws=50) == (1.0, 1.0)
 
 
 def test_where_half_of_the_ships_need_more_the_share_scatters_as_draws_of_a_coin() -> None:
     # For a quarter of the ships, s is that of the half that needs less; the others all miss.
     ships = upright([1.0, 1.2] * 200)
-    plan = Plan(objective='coverage', keep=1.0, share=0.25)
-    low, high = covered_shares(ships, HullRule(), plan)
+    low, high = Coverage(1.0, 0.25).scatter(ships, HullRule(), seed=0)
     # 200 images give s; those that need less are drawn 200 times.
     half = split(ships)[1]
     part = float(np.mean(half.reference[:, 2] == 20.0))
@@ -432,22 +454,22 @@ def test_where_half_of_the_ships_need_more_the_share_scatters_as_draws_of_a_coin
 
 
 def test_coverage_scatters_more_where_ships_of_an_image_are_alike() -> None:
-    plan = Plan(objective='coverage', grid=SMALL, refine=False, keep=0.9, share=0.8)
+    plan = CalibrationPlan(objective=Coverage(0.9, 0.8), grid=SMALL, refine=False)
     widths = []
     for ships in (alike(80, 0), replace(alike(80, 0), image_of=np.arange(400))):
-        low, high = covered_shares(ships, calibrate(ships, plan), plan, samples=300)
+        low, high = plan.objective.scatter(ships, calibrate(ships, plan), seed=0, draws=300)
         assert 0.5 < low < 0.8 < high < 1.0
         widths.append(high - low)
     assert widths[0] > 1.3 * widths[1]
 
 
 def test_the_scatter_holds_most_new_fleets() -> None:
-    plan = Plan(objective='coverage', grid=SMALL, refine=False, keep=0.9, share=0.8)
+    plan = CalibrationPlan(objective=Coverage(0.9, 0.8), grid=SMALL, refine=False)
     inside = []
     for seed in range(40):
         known = alike(80, seed)
         rule = calibrate(known, plan)
-        low, high = covered_shares(known, rule, plan, samples=200)
+        low, high = plan.objective.scatter(known, rule, seed=0, draws=200)
         # As many images as those that gave s.
         inside.append(low <= kept(alike(40, 900 + seed), rule, 0.9) <= high)
     assert np.mean(inside) > 0.85

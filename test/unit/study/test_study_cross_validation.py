@@ -12,16 +12,18 @@ from fleets import fleet
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
-from obbhbb_ros.study.calibration import Plan
+from obbhbb_ros.study.calibration import CalibrationPlan
+from obbhbb_ros.study.calibration import Fit
 from obbhbb_ros.study.calibration import calibrate
+from obbhbb_ros.study.coverage import Coverage
 from obbhbb_ros.study.cross_validation import CALIBRATED
 from obbhbb_ros.study.cross_validation import Gain
 from obbhbb_ros.study.cross_validation import fit_margin
 from obbhbb_ros.study.cross_validation import run
 from obbhbb_ros.study.grid_search import GRIDS
-from obbhbb_ros.study.parameter_file import yaml_text
+from obbhbb_ros.study.rule_file import yaml_text
 from obbhbb_ros.study.ships import read_ships
-from obbhbb_ros.study.tables import outcome_text
+from obbhbb_ros.study.tables import calibration_text
 
 
 @pytest.fixture(scope='module')
@@ -58,16 +60,16 @@ def parameters(text):
 
 
 def test_the_rule_is_that_of_all_ships_and_the_figures_are_held_out(real) -> None:
-    outcome = run(real, Plan(), folds=4)
-    assert outcome.rule == calibrate(real, Plan())
-    fitted = convert_by_rule(real.boxes, outcome.rule)
-    seen = np.mean(outcome_iou(fitted, real))
-    assert outcome.held_out[CALIBRATED]['iou'].mean() < seen
-    assert outcome.held_out['paper']['iou'].mean() == pytest.approx(0.82121, abs=5e-5)
-    assert outcome.held_out['outer']['iou'].mean() == pytest.approx(0.80998, abs=5e-5)
+    result = run(real, CalibrationPlan(), folds=4)
+    assert result.rule == calibrate(real, CalibrationPlan())
+    fitted = convert_by_rule(real.boxes, result.rule)
+    seen = np.mean(overlap_of(fitted, real))
+    assert result.held_out[CALIBRATED]['iou'].mean() < seen
+    assert result.held_out['paper']['iou'].mean() == pytest.approx(0.82121, abs=5e-5)
+    assert result.held_out['outer']['iou'].mean() == pytest.approx(0.80998, abs=5e-5)
 
 
-def outcome_iou(xyxy, ships):
+def overlap_of(xyxy, ships):
     low = np.maximum(xyxy[:, :2], ships.reference[:, :2])
     high = np.minimum(xyxy[:, 2:], ships.reference[:, 2:])
     shared = np.prod(np.clip(high - low, 0, None), axis=1)
@@ -79,34 +81,38 @@ def test_a_class_that_one_rule_for_all_does_not_fit_earns_its_own() -> None:
     # Mean IoU sides with the many, so the rule of all is that of the first class.
     ships = two_classes(HullRule('superellipse', 1.5), HullRule('superellipse', 9.0))
     rows = np.r_[0:60, 60:105]
-    outcome = run(ships.take(rows), Plan(), folds=4, per_class=True)
-    by_class, barge, yacht = outcome.gains
+    result = run(ships.take(rows), CalibrationPlan(), folds=4, per_class=True)
+    by_class, barge, yacht = result.gains
     assert (by_class.earned, barge.earned, yacht.earned) == (True, True, False)
     mine = ships.take(rows[60:])
-    assert outcome.rule_of_class == {'barge': calibrate(mine, Plan())}
+    assert result.rule_of_class == {'barge': calibrate(mine, CalibrationPlan())}
 
 
 def test_classes_of_the_same_hull_earn_none() -> None:
     rule = HullRule('superellipse', 3.0)
-    outcome = run(two_classes(rule, rule), Plan(grid=GRIDS['wide']), folds=2, per_class=True)
-    assert outcome.rule_of_class == {}
-    assert 'not clearly better than one rule' in outcome_text(outcome)
+    result = run(
+        two_classes(rule, rule), CalibrationPlan(grid=GRIDS['wide']), folds=2, per_class=True
+    )
+    assert result.rule_of_class == {}
+    assert 'not clearly better than one rule' in calibration_text(result)
 
 
 def test_one_class_is_nothing_to_do(real) -> None:
-    outcome = run(real, Plan(), folds=2, per_class=True)
-    assert outcome.rule_of_class == {}
-    assert 'per class: nothing to do: needs two or more classes (here 1)' in outcome_text(outcome)
+    result = run(real, CalibrationPlan(), folds=2, per_class=True)
+    assert result.rule_of_class == {}
+    assert 'per class: nothing to do: needs two or more classes (here 1)' in calibration_text(
+        result
+    )
 
 
 def test_bands_of_aspect_ratio_cover_every_ship(real) -> None:
-    outcome = run(real, Plan(), folds=2, by_aspect=True)
+    result = run(real, CalibrationPlan(), folds=2, by_aspect=True)
     # 13 ships a band are too few for a rule, so every ship has that of all, and nothing is gained.
-    assert outcome.rule_of_aspect == []
-    (gain,) = outcome.gains
+    assert not result.rule_of_aspect
+    (gain,) = result.gains
     assert (gain.mean, gain.earned) == (0.0, False)
     ships = two_classes(HullRule(), HullRule())
-    bands = run(ships, Plan(), folds=2, by_aspect=True).rule_of_aspect
+    bands = run(ships, CalibrationPlan(), folds=2, by_aspect=True).rule_of_aspect
     assert bands[0][0] == 1.0
     assert bands[-1][1] == np.inf
     assert [high for _, high, _ in bands[:-1]] == [low for low, _, _ in bands[1:]]
@@ -121,8 +127,8 @@ def test_a_gain_is_earned_if_its_interval_is_above_zero(low, earned) -> None:
 
 def test_groups_are_not_judged_without_folds(real) -> None:
     with pytest.raises(ValueError, match='give folds'):
-        run(real, Plan(), folds=0, per_class=True)
-    assert run(real, Plan(), folds=0).held_out == {}
+        run(real, CalibrationPlan(), folds=0, per_class=True)
+    assert run(real, CalibrationPlan(), folds=0).held_out == {}
 
 
 @pytest.mark.parametrize(
@@ -130,8 +136,8 @@ def test_groups_are_not_judged_without_folds(real) -> None:
 )
 def test_coverage_says_what_it_guarantees_and_on_what_condition(per_image, unit) -> None:
     ships = two_classes(HullRule(), HullRule(), count=200)
-    plan = Plan(objective='coverage', share=0.9, per_image=per_image)
-    text = outcome_text(run(ships, plan, folds=2))
+    plan = CalibrationPlan(objective=Coverage(share=0.9, per_image=per_image))
+    text = calibration_text(run(ships, plan, folds=2))
     assert 'keeps 95% of its reference box with a probability of at least 90%' in text
     assert unit in text
 
@@ -139,10 +145,11 @@ def test_coverage_says_what_it_guarantees_and_on_what_condition(per_image, unit)
 def test_ships_that_are_too_few_only_without_a_fold_still_give_a_rule() -> None:
     # Half of 44 ships is enough for 95 %, half of 33 is not: it takes 19.
     ships = two_classes(HullRule(), HullRule(), count=22)
-    outcome = run(ships, Plan(objective='coverage'), folds=4)
-    assert outcome.held_out == {}
-    assert 'No held-out figures: without one of 4 folds there are too few ships' in outcome_text(
-        outcome
+    result = run(ships, CalibrationPlan(objective=Coverage()), folds=4)
+    assert result.held_out == {}
+    assert (
+        'No held-out figures: without one of 4 folds there are too few ships'
+        in calibration_text(result)
     )
 
 
@@ -190,21 +197,21 @@ def test_a_gain_below_two_thousandths_is_called_none(mean, said, earned) -> None
 
 
 def test_the_result_says_what_f_and_s_gain_and_whether_they_are_fitted() -> None:
-    same = run(two_classes(HullRule(), HullRule()), Plan(), folds=2)
-    assert 'f and s over q alone: gain none (' in outcome_text(same)
-    assert 'below 0.002), not fitted' in outcome_text(same)
+    same = run(two_classes(HullRule(), HullRule()), CalibrationPlan(), folds=2)
+    assert 'f and s over q alone: gain none (' in calibration_text(same)
+    assert 'below 0.002), not fitted' in calibration_text(same)
     large = HullRule(s=1.1)
-    text = outcome_text(run(two_classes(large, large), Plan(), folds=2))
+    text = calibration_text(run(two_classes(large, large), CalibrationPlan(), folds=2))
     assert 'of held-out mean IoU, fitted' in text
 
 
 def test_coverage_states_its_scatter_over_images() -> None:
     ships = two_classes(HullRule(), HullRule(), count=200)
-    outcome = run(ships, Plan(objective='coverage', share=0.9), folds=2)
-    low, high = outcome.covered
-    text = outcome_text(outcome)
+    result = run(ships, CalibrationPlan(objective=Coverage(share=0.9)), folds=2)
+    low, high = result.scatter
+    text = calibration_text(result)
     assert f'lands between {low:.1%} and {high:.1%}' in text
-    low, high = outcome.interval(CALIBRATED, 'kept')
+    low, high = result.interval(CALIBRATED, 'kept')
     assert f'({low:.1%} to {high:.1%}, 95 % interval over images)' in text
 
 
@@ -227,13 +234,15 @@ def test_the_margin_that_made_the_references_is_found() -> None:
 
 
 def test_a_margin_is_reported_where_small_ships_gain_by_it() -> None:
-    text = outcome_text(run(with_margin(1.0, 0.3), Plan(fit='q'), folds=2))
+    text = calibration_text(run(with_margin(1.0, 0.3), CalibrationPlan(f_and_s=Fit.NEVER), folds=2))
     assert 'px on each side, for ships of L W below 32 x 32 px: better than none' in text
 
 
 @pytest.mark.parametrize(('margin', 'scale'), [(0.0, 0.3), (1.0, 3.0)], ids=['none', 'large ships'])
 def test_a_margin_that_gains_nothing_is_not_mentioned(margin, scale) -> None:
-    assert 'px on each side' not in outcome_text(run(with_margin(margin, scale), Plan(), folds=2))
+    assert 'px on each side' not in calibration_text(
+        run(with_margin(margin, scale), CalibrationPlan(), folds=2)
+    )
 
 
 def test_the_ends_of_a_rule_are_written_if_it_has_them() -> None:

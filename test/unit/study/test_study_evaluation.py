@@ -17,13 +17,13 @@ from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.geometry.converter import to_xyxy
 from obbhbb_ros.geometry.methods import METHODS
+from obbhbb_ros.study.bootstrap import bootstrap_intervals
+from obbhbb_ros.study.bootstrap import draws
+from obbhbb_ros.study.bootstrap import median_intervals
 from obbhbb_ros.study.evaluation import ALL
-from obbhbb_ros.study.evaluation import FIGURES
-from obbhbb_ros.study.evaluation import Settings
-from obbhbb_ros.study.evaluation import bootstrap_intervals
-from obbhbb_ros.study.evaluation import draws
+from obbhbb_ros.study.evaluation import METRICS
+from obbhbb_ros.study.evaluation import EvaluationSettings
 from obbhbb_ros.study.evaluation import evaluate
-from obbhbb_ros.study.evaluation import median_intervals
 from obbhbb_ros.study.evaluation import offsets
 from obbhbb_ros.study.evaluation import strata
 from obbhbb_ros.study.evaluation import write_csv
@@ -35,7 +35,7 @@ from obbhbb_ros.study.ships import read_ships
 from obbhbb_ros.study.tables import offset_notes
 from obbhbb_ros.study.tables import score_tables
 
-FAST = Settings(bootstrap=0)
+FAST = EvaluationSettings(bootstrap=0)
 
 
 @pytest.fixture(scope='module')
@@ -45,7 +45,7 @@ def real():
 
 @pytest.fixture(scope='module')
 def scores(real):
-    return evaluate(real, settings=Settings(bootstrap=50))
+    return evaluate(real, settings=EvaluationSettings(bootstrap=50))
 
 
 @pytest.mark.parametrize(
@@ -143,9 +143,9 @@ def test_threshold_and_kept_part_count_ships() -> None:
     def overall(settings):
         return evaluate(ships, rules, ['hbb'], settings)[0]
 
-    score = overall(Settings(threshold=0.6, keep=0.4, bootstrap=0))
+    score = overall(EvaluationSettings(threshold=0.6, keep=0.4, bootstrap=0))
     assert (score.match, score.kept, score.coverage) == (0.5, 1.0, 0.75)
-    assert overall(Settings(threshold=0.5, keep=0.6, bootstrap=0)).match == 1.0
+    assert overall(EvaluationSettings(threshold=0.5, keep=0.6, bootstrap=0)).match == 1.0
     assert score.area == 1.0
     assert np.isnan(score.iou_low)
 
@@ -153,7 +153,7 @@ def test_threshold_and_kept_part_count_ships() -> None:
 @pytest.mark.parametrize('values', [{'threshold': 0}, {'keep': 1.1}, {'bootstrap': -1}])
 def test_settings_out_of_range_are_refused(values) -> None:
     with pytest.raises(ValueError, match=next(iter(values))):
-        Settings(**values)
+        EvaluationSettings(**values)
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.integers(0, 5)), min_size=1, max_size=30))
@@ -192,7 +192,7 @@ def test_every_table_names_its_protocol(scores) -> None:
 
 
 def test_json_is_strict_and_complete(scores, tmp_path) -> None:
-    write_json(tmp_path / 'scores.json', scores, Settings(bootstrap=50))
+    write_json(tmp_path / 'scores.json', scores, EvaluationSettings(bootstrap=50))
 
     def refuse(name):
         raise AssertionError(name)
@@ -224,7 +224,9 @@ def test_csv_reads_back_as_the_scores(scores, tmp_path) -> None:
 
 def overall(ships, rules=None, **options):
     """Scores over all ships, protocol hbb, by method."""
-    found = evaluate(ships, rules or choose_rules(['outer']), ['hbb'], Settings(**options))
+    found = evaluate(
+        ships, rules or choose_rules(['outer']), ['hbb'], EvaluationSettings(**options)
+    )
     return {score.method: score for score in found if score.stratum == ALL}
 
 
@@ -333,5 +335,5 @@ def test_the_interval_of_a_median_is_that_of_medians_of_drawn_images(pairs) -> N
 
 def test_every_figure_of_a_score_has_a_column_in_its_table(scores) -> None:
     table = score_tables(scores)
-    for name, figure in FIGURES.items():
-        assert (figure.heading(Settings()) in table) == (name != 'hull_kept'), name
+    for name, figure in METRICS.items():
+        assert (figure.heading(EvaluationSettings()) in table) == (name != 'hull_kept'), name

@@ -12,7 +12,7 @@ from obbhbb_ros.study.hulls import FULLNESS
 from obbhbb_ros.study.hulls import LENGTH
 from obbhbb_ros.study.hulls import synthetic_ships
 from obbhbb_ros.study.paper_table import PAPER_TABLE
-from obbhbb_ros.study.paper_table import fit_ends
+from obbhbb_ros.study.paper_table import fit_family
 from obbhbb_ros.study.paper_table import mean_deviation
 from obbhbb_ros.study.paper_table import paper_comparison
 from obbhbb_ros.study.tables import comparison_table
@@ -31,7 +31,7 @@ def test_the_naive_row_at_full_fullness_is_the_papers(comparison) -> None:
 
 @pytest.mark.parametrize('name', FAMILIES)
 def test_the_ends_are_the_fitted_ones(name) -> None:
-    fitted, stated = fit_ends(FAMILIES[name]), FAMILIES[name]
+    fitted, stated = fit_family(FAMILIES[name]), FAMILIES[name]
     assert (fitted.bow, fitted.stern) == pytest.approx((stated.bow, stated.stern), abs=1e-4)
 
 

@@ -14,17 +14,17 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.ships import read_ships
 
-drawing = pytest.importorskip('obbhbb_ros.study.drawing')
+figures = pytest.importorskip('obbhbb_ros.study.figures')
 report = pytest.importorskip('obbhbb_ros.study.report')
 
 
 def test_every_method_has_a_colour_of_its_own() -> None:
-    assert set(drawing.METHOD_COLORS) == set(METHODS)
-    assert len(set(drawing.METHOD_COLORS.values())) == len(METHODS)
+    assert set(figures.METHOD_COLORS) == set(METHODS)
+    assert len(set(figures.METHOD_COLORS.values())) == len(METHODS)
 
 
 def test_a_method_without_a_colour_is_drawn_all_the_same(monkeypatch) -> None:
-    monkeypatch.delitem(drawing.METHOD_COLORS, 'midpoint')
+    monkeypatch.delitem(figures.METHOD_COLORS, 'midpoint')
     page = report.report_page(read_ships([REAL]), 'real', gallery=2)
     assert '.m-midpoint { stroke: black;' in page
 
@@ -35,7 +35,7 @@ def test_a_scene_is_drawn_with_and_without_hulls(tmp_path) -> None:
             name: np.hstack((labels.corners.min(axis=1), labels.corners.max(axis=1)))
             for name in ONBOARD_METHODS
         }
-        drawing.save(drawing.scene_figure(labels, boxes), tmp_path / 'scene.png')
+        figures.save(figures.scene_figure(labels, boxes), tmp_path / 'scene.png')
         assert (tmp_path / 'scene.png').read_bytes().startswith(b'\x89PNG')
 
 
