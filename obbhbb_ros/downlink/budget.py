@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from dataclasses import replace
 
 from obbhbb_ros.downlink import require_not_negative
-from obbhbb_ros.downlink.chips import Chip
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import Dropped
+from obbhbb_ros.downlink.chips import EncodedChip
 from obbhbb_ros.downlink.chips import encode
 
 
@@ -149,13 +149,13 @@ class FrameBudget:
         self._chips_left = budget.max_chips or float('inf')
         self.ended_by: Dropped | None = None
 
-    def admit(self, chip: Chip) -> bytes | Dropped:
+    def admit(self, chip: EncodedChip) -> bytes | Dropped:
         """
         Subtract a chip from the budget.
 
         Parameters
         ----------
-        chip : Chip
+        chip : EncodedChip
             The next chip of the frame, in descending value.
 
         Returns
@@ -190,7 +190,7 @@ class FrameBudget:
         return data
 
 
-def _encode_to_fit(chip: Chip, room: float, codec: CodecSettings, min_quality: int) -> bytes:
+def _encode_to_fit(chip: EncodedChip, room: float, codec: CodecSettings, min_quality: int) -> bytes:
     """If a chip is too large, encode at the lowest quality, and halfway to it where that fits."""
     if len(chip.data) <= room or codec.exact or not 0 < min_quality < codec.quality:
         return chip.data

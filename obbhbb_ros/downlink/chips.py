@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -19,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.wire.image import WireImage
 
 Region = tuple[int, int, int, int]
@@ -28,16 +27,19 @@ Region = tuple[int, int, int, int]
 class Dropped(str, Enum):
     """Why a region of a frame became no chip, or the chip was not sent."""
 
+    NO_SUBSCRIBER = 'no_subscriber'
+    IMAGE_REFUSED = 'image_refused'
     OUTSIDE = 'outside_image'
     ENCODER = 'encoder_failed'
     LINK_BUDGET = 'link_budget'
     LARGER_THAN_BURST = 'larger_than_burst'
     FRAME_CHIPS = 'frame_max_chips'
     FRAME_BYTES = 'frame_max_bytes'
+    FAILED = 'failed'
 
 
-class ChipError(ValueError):
-    """An image from which no chips can be made; the message says why."""
+class ChipError(ObbhbbError, ValueError):
+    """No chips can be cut from an image; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -151,16 +153,17 @@ def pixel_format(encoding: str, codec: str) -> PixelFormat:
     >>> pixel_format('bgr8', 'jpeg').channels
     (2, 1, 0)
     """
-    found = PIXEL_FORMATS.get(encoding)
-    if found is None:
-        known = ', '.join(PIXEL_FORMATS)
-        raise ChipError(f'images of encoding {encoding!r} cannot be cut, only {known}')
-    if found.depth not in CODECS[codec].depths:
-        able = ', '.join(c.name for c in CODECS.values() if found.depth in c.depths)
+    layout = PIXEL_FORMATS.get(encoding)
+    if layout is None:
+        supported = ', '.join(PIXEL_FORMATS)
+        raise ChipError(f'images of encoding {encoding!r} cannot be cut, only {supported}')
+    depth = layout.depth
+    if depth not in CODECS[codec].depths:
+        able = ', '.join(c.name for c in CODECS.values() if depth in c.depths)
         raise ChipError(
-            f'{codec} does not support the {found.depth} bits per channel of {encoding}; use {able}'
+            f'{codec} does not support the {depth} bits per channel of {encoding}; use {able}'
         )
-    return found
+    return layout
 
 
 def view_of(image: WireImage) -> NDArray[Any]:
@@ -262,8 +265,8 @@ def _pillow_options(settings: CodecSettings) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Chip:
-    """A region of a frame: its place in the plan, its place in the image, pixels and file."""
+class EncodedChip:
+    """A region of a frame: its index in the plan, its place in the image, pixels and file."""
 
     index: int
     region: Region
@@ -271,45 +274,42 @@ class Chip:
     data: bytes
 
 
-def chips_of(
-    view: NDArray[Any],
-    layout: PixelFormat,
-    regions: Sequence[Region],
-    codec: CodecSettings,
-    on_drop: Callable[[Dropped, Region, Exception | None], None],
-) -> Iterator[Chip]:
+@dataclass(frozen=True)
+class ChipCutter:
     """
-    Cut and encode the regions of a frame, one after the other.
+    Cuts regions out of one image and encodes them.
 
-    Parameters
+    Attributes
     ----------
-    view, layout : ndarray of shape (height, width, channels), PixelFormat
+    view : ndarray, shape (height, width, channels)
         The image.
-    regions : sequence of tuple of int
-        The crop plan.
+    layout : PixelFormat
+        Its pixel format.
     codec : CodecSettings
         How chips are encoded.
-    on_drop : callable
-        Called with reason, region and the encoder's error for a region that becomes no chip.
-
-    Yields
-    ------
-    Chip
-        In the order of the plan.
+    on_failure : callable
+        Called with region and error where the codec cannot hold a chip.
     """
-    for index, planned in enumerate(regions):
-        region = placed(planned, (view.shape[1], view.shape[0]), layout)
-        if region is None:
-            on_drop(Dropped.OUTSIDE, planned, None)
-            continue
-        pixels = cut(view, region, layout)
+
+    view: NDArray[Any]
+    layout: PixelFormat
+    codec: CodecSettings
+    on_failure: Callable[[Region, Exception], None]
+
+    def cut(self, index: int, region: Region) -> EncodedChip | Dropped:
+        """Cut and encode the region of an index; return why there is no chip if there is none."""
+        height, width = self.view.shape[:2]
+        place = placed(region, (width, height), self.layout)
+        if place is None:
+            return Dropped.OUTSIDE
+        pixels = cut(self.view, place, self.layout)
         try:
-            data = encode(pixels, codec)
+            data = encode(pixels, self.codec)
         except (ValueError, OSError, MemoryError) as error:
             # Each format has a maximum size.
-            on_drop(Dropped.ENCODER, region, error)
-            continue
-        yield Chip(index, region, pixels, data)
+            self.on_failure(place, error)
+            return Dropped.ENCODER
+        return EncodedChip(index, place, pixels, data)
 
 
 def format_text(encoding: str, codec: str) -> str:

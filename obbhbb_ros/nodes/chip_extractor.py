@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chip node: images and crop regions in, encoded chips to the link and to the spool out."""
+"""The chip node: cuts crop regions out of images, publishes the chips, and spools them."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections import deque
 from collections.abc import Callable
-from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,21 +21,23 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.downlink.budget import FrameBudget
 from obbhbb_ros.downlink.budget import TokenBucket
-from obbhbb_ros.downlink.chips import Chip
+from obbhbb_ros.downlink.chips import ChipCutter
 from obbhbb_ros.downlink.chips import ChipError
 from obbhbb_ros.downlink.chips import Dropped
+from obbhbb_ros.downlink.chips import EncodedChip
 from obbhbb_ros.downlink.chips import Region
-from obbhbb_ros.downlink.chips import chips_of
 from obbhbb_ros.downlink.chips import pixel_format
 from obbhbb_ros.downlink.chips import view_of
+from obbhbb_ros.downlink.frame import FrameCut
+from obbhbb_ros.downlink.frame import FrameLink
 from obbhbb_ros.downlink.joiner import JoinerSide
 from obbhbb_ros.downlink.joiner import PairJoiner
 from obbhbb_ros.downlink.joiner import PairLimits
 from obbhbb_ros.downlink.joiner import StampCache
 from obbhbb_ros.downlink.joiner import Unpaired
-from obbhbb_ros.downlink.records import Recorder
+from obbhbb_ros.downlink.records import recorder_of
 from obbhbb_ros.downlink.stamps import ChipStamps
-from obbhbb_ros.nodes.camera import Camera
+from obbhbb_ros.nodes.camera_info import LatestCameraInfo
 from obbhbb_ros.nodes.chip_topics import ChipTopics
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.spool_report import facts_of
@@ -122,21 +122,21 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         )
         self._joiner = PairJoiner(self._images, self._plans)
         self._budget = self._parameters_in_force.settings.budget
-        # The link does not forget what was sent because the node was switched off and on.
+        # The link remembers what was sent while the node is inactive.
         self._bucket = TokenBucket(self._budget, time.monotonic())
         self._stamps = ChipStamps()
         self._spool: Spool | None = None
         self._autostart()
 
     def _create_topics(self) -> None:
-        """Create publishers and subscriptions; without an encoder there is no point in that."""
-        # Found out here rather than at the first chip.
+        """Create publishers and subscriptions, and open the spool."""
+        # If Pillow is missing, fail here and not at the first chip.
         import PIL.Image  # noqa: F401
 
         self._topics = ChipTopics(self._output, self._stamps)
-        self._camera = Camera()
+        self._camera = LatestCameraInfo()
         self._sources = StampCache[list[Source]]()
-        # Before the images and plans that they belong to.
+        # Subscribed first, so that camera infos and sources are there before images and plans.
         self._camera_in = self._input(CameraInfo, 'camera_info', self._on_camera_info)
         path = self._parameters_in_force.settings.spool_path
         self._spool = Spool(Path(path), self._warn_of_spool, 'writer') if path else None
@@ -145,8 +145,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._sources_in = self._input(
                 Detection2DArray, 'crop_sources', self._on_sources, **plans
             )
-        # A large image travels in many pieces; one that is lost unnoticed would cost all of it. Its
-        # pieces fill the middleware's buffers, which would cost the plan beside it.
+        # Reliable: a large image travels in many pieces, and is lost with any of them. The pieces
+        # also push small messages such as plans out of the middleware's buffers.
         self._images_in = self._input(
             Image,
             'image',
@@ -161,14 +161,14 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._joiner.clear()
 
     def _release(self) -> None:
-        """Destroy topics and close the spool."""
+        """Destroy the topics and close the spool."""
         super()._release()
         if self._spool is not None:
             self._spool.close()
             self._spool = None
 
     def _facts(self) -> dict[str, str]:
-        """Report what is waiting, the bytes that the link has left, and the books of the spool."""
+        """Report what is waiting, the budget left, and the books of the spool."""
         settings = self._settings()
         self._joiner.expire(time.monotonic(), settings.pairing)
         facts = {
@@ -193,14 +193,14 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         return settings
 
     def _on_camera_info(self, data: bytes) -> None:
-        """Learn what the camera is."""
+        """Keep the latest camera info."""
         try:
-            self._camera.see(data)
+            self._camera.update(data)
         except WireError as error:
             self._drop_unreadable(data, self._camera_in, error)
 
     def _on_sources(self, data: bytes) -> None:
-        """Keep where the regions of a plan come from until the plan is cut."""
+        """Keep the sources of a plan until the plan is cut."""
         try:
             stamp, sources = read_sources(data)
         except WireError as error:
@@ -288,75 +288,70 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         return name
 
     def _drop(self, reason: str, count: int) -> None:
-        """Count chips that were planned and are not sent."""
+        """Count planned chips that are not sent."""
         if count:
             self._monitor.add(f'chips_dropped.{reason}', count)
 
     def _cut(self, image: WireImage, planned: PlannedFrame, settings: ChipSettings) -> None:
         """Cut one frame; publish what the budget allows, and store all of it in the spool."""
         self._monitor.add('frames_paired')
-        wanted = self._topics.wanted
-        if not wanted:
-            self._drop('no_subscriber', len(planned))
-            if planned.frame is None:
-                return
+        frame = FrameCut[NewChip](planned.plan.regions)
+        is_wanted = self._topics.wanted
+        if not is_wanted:
+            frame.close_link(Dropped.NO_SUBSCRIBER)
         try:
-            layout = pixel_format(image.encoding, settings.codec.codec)
-            view = view_of(image)
+            if is_wanted or planned.frame is not None:
+                self._run(frame, image, planned, is_wanted, settings)
         except ChipError as error:
-            self._refuse(image, planned, wanted, error)
-            return
-        refused: Counter[str] = Counter()
-
-        def on_drop(reason: Dropped, region: Region, error: Exception | None) -> None:
-            refused[reason.value] += 1
-            if error is not None:
-                self._warn_of_failure(image, settings, region, error)
-
-        chips = chips_of(view, layout, planned.plan.regions, settings.codec, on_drop)
-        if planned.frame is None:
-            self._send(chips, image, planned, settings, refused)
-            return
-        records: list[NewChip] = []
-        chips = self._recorded(chips, records, image, planned.plan, settings)
-        try:
-            if wanted:
-                self._send(chips, image, planned, settings, refused)
+            frame.refuse(Dropped.IMAGE_REFUSED)
+            self._warn(
+                'image refused',
+                f'no chips of the image on {self._images_in.topic_name} at stamp '
+                f'{stamp_text(image.stamp)}: {error}',
+            )
         finally:
-            self._store_all(chips, records, planned, refused)
+            # After an error as well, every chip is accounted for.
+            self._monitor.add('chips_sent', frame.sent)
+            self._report_dropped(frame.not_sent, image, len(planned))
+            self._store(planned, frame.records, frame.not_recorded)
 
-    def _store_all(
+    def _run(
         self,
-        chips: Iterator[Chip],
-        records: Sequence[NewChip],
-        planned: PlannedFrame,
-        refused: Counter[str],
-    ) -> None:
-        """Make the chips that were not sent as well, and store all of them, whatever happens."""
-        try:
-            deque(chips, maxlen=0)
-        finally:
-            failed = len(planned) - len(records) - refused.total()
-            self._store(planned, records, refused + Counter(failed=failed))
-
-    def _recorded(
-        self,
-        chips: Iterator[Chip],
-        records: list[NewChip],
+        frame: FrameCut[NewChip],
         image: WireImage,
-        plan: WirePlan,
+        planned: PlannedFrame,
+        is_wanted: bool,
         settings: ChipSettings,
-    ) -> Iterator[Chip]:
-        """Pass chips on, and add their records for the spool to a list."""
-        sources = self._sources_of(plan)
-        camera = self._camera.info_for(image).k.tolist()
-        recorder = Recorder(image, plan, sources, settings.codec.codec, camera)
-        for chip in chips:
-            records.append(recorder.record(chip))
-            yield chip
+    ) -> None:
+        """Run the loop over the regions of a frame; ChipError if the image cannot be cut."""
+        plan, codec = planned.plan, settings.codec
+        layout = pixel_format(image.encoding, codec.codec)
+        warn = partial(self._warn_of_failure, image, codec.codec)
+        cutter = ChipCutter(view_of(image), layout, codec, warn)
+        camera = self._camera.info_for(image)
+        link, record = None, None
+        if is_wanted:
+            link = self._link(image, plan, camera, settings)
+        if planned.frame is not None:
+            sources = self._sources_of(plan)
+            record = recorder_of(image, plan, sources, codec.codec, camera.k.tolist())
+        frame.run(cutter.cut, link, record)
+
+    def _link(
+        self, image: WireImage, plan: WirePlan, camera: CameraInfo, settings: ChipSettings
+    ) -> FrameLink:
+        """Return the link for the chips of an image."""
+        budget = FrameBudget(settings.budget, self._bucket, settings.codec, time.monotonic)
+        topics = self._topics.of_frame(image, plan, camera, settings.codec.codec)
+
+        def send(chip: EncodedChip, data: bytes) -> None:
+            topics.publish(chip, data)
+            self._monitor.add('bytes_sent', len(data) + settings.budget.overhead)
+
+        return FrameLink(budget, send)
 
     def _sources_of(self, plan: WirePlan) -> list[Source]:
-        """Take the sources of the regions of a plan; none if they are not for this plan."""
+        """Take the sources of a plan; none if there are none or they do not match."""
         sources = self._sources.pop(plan.stamp) or []
         if plan.has_sources(sources):
             return sources
@@ -369,50 +364,14 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             )
         return []
 
-    def _send(
-        self,
-        chips: Iterator[Chip],
-        image: WireImage,
-        planned: PlannedFrame,
-        settings: ChipSettings,
-        refused: Counter[str],
-    ) -> None:
-        """Publish chips until the budget ends the frame; count the others."""
-        frame = FrameBudget(settings.budget, self._bucket, settings.codec, time.monotonic)
-        topics = self._topics.of_frame(
-            image, planned.plan, self._camera.info_for(image), settings.codec.codec
-        )
-        dropped: Counter[str] = Counter()
-        sent = 0
-        try:
-            for chip in chips:
-                admitted = frame.admit(chip)
-                if isinstance(admitted, Dropped):
-                    dropped[admitted.value] += 1
-                else:
-                    topics.publish(chip, admitted)
-                    self._monitor.add('bytes_sent', len(admitted) + settings.budget.overhead)
-                    sent += 1
-                if frame.ended_by is not None:
-                    break
-        finally:
-            # After an error as well, every chip is accounted for.
-            self._monitor.add('chips_sent', sent)
-            dropped.update(refused)
-            rest = 'failed' if frame.ended_by is None else frame.ended_by.value
-            dropped[rest] += len(planned) - sent - dropped.total()
-            self._report_dropped(dropped, image, planned)
-
-    def _report_dropped(
-        self, dropped: Counter[str], image: WireImage, planned: PlannedFrame
-    ) -> None:
-        """Count the chips that are not sent, and say it where an operator can do something."""
-        for reason, count in dropped.items():
-            self._drop(reason, count)
-            if count and reason in _LOST_FOR_GOOD:
+    def _report_dropped(self, dropped: Counter[str], image: WireImage, count: int) -> None:
+        """Count the chips that are not sent, and warn where an operator can do something."""
+        for reason, number in dropped.items():
+            self._drop(reason, number)
+            if reason in _LOST_FOR_GOOD:
                 self._warn(
                     reason,
-                    f'dropped {count} of {len(planned)} chips at stamp {stamp_text(image.stamp)}: '
+                    f'dropped {number} of {count} chips at stamp {stamp_text(image.stamp)}: '
                     f'{_LOST_FOR_GOOD[reason]}',
                 )
 
@@ -422,34 +381,19 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         """Store the chips of a frame, if there is a spool."""
         if self._spool is None or planned.frame is None:
             return
-        most = self._parameters_in_force.settings.spool_max_bytes
-        if self._spool.store(planned.frame, records, refused, most):
-            self._monitor.add('chips_stored', len(records))
-        else:
-            self._monitor.add('chips_not_stored', len(records))
-
-    def _refuse(
-        self, image: WireImage, planned: PlannedFrame, wanted: bool, error: ChipError
-    ) -> None:
-        """Count and report an image that cannot be cut."""
-        if wanted:
-            self._drop('image_refused', len(planned))
-        self._store(planned, [], {'image_refused': len(planned)})
-        self._warn(
-            'image refused',
-            f'no chips of the image on {self._images_in.topic_name} at stamp '
-            f'{stamp_text(image.stamp)}: {error}',
-        )
+        max_bytes = self._parameters_in_force.settings.spool_max_bytes
+        is_stored = self._spool.store(planned.frame, records, refused, max_bytes)
+        self._monitor.add('chips_stored' if is_stored else 'chips_not_stored', len(records))
 
     def _warn_of_failure(
-        self, image: WireImage, settings: ChipSettings, region: Region, error: Exception
+        self, image: WireImage, codec: str, region: Region, error: Exception
     ) -> None:
         """Report a chip that its format cannot hold."""
         x0, y0, x1, y1 = region
         self._warn(
             'encoder failure',
-            f'{settings.codec.codec} cannot hold the chip of {x1 - x0} x {y1 - y0} pixels at '
-            f'({x0}, {y0}), stamp {stamp_text(image.stamp)}: {error}; see crop.max_size',
+            f'{codec} cannot hold the chip of {x1 - x0} x {y1 - y0} pixels at ({x0}, {y0}), '
+            f'stamp {stamp_text(image.stamp)}: {error}; see crop.max_size',
         )
 
     def _warn_of_spool(self, text: str) -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.downlink import chips
 from obbhbb_ros.downlink import crops
+from obbhbb_ros.downlink.frame import FrameCut
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.labels import ImageLabels
@@ -76,11 +77,14 @@ def chip_costs(
 
 def _add(cost: Cost, labels: ImageLabels, pixels: NDArray[Any], plan: crops.CropPlan) -> None:
     """Add the chips of one image."""
-    cut = [pixels[y0:y1, x0:x1] for x0, y0, x1, y1 in plan.regions.tolist()]
-    cost.chips += len(cut)
-    cost.pixels += sum(chip.shape[0] * chip.shape[1] for chip in cut)
+    cost.chips += len(plan.regions)
+    cost.pixels += plan.pixels
+    layout = chips.PixelFormat(tuple(range(pixels.shape[2])), 8 * pixels.dtype.itemsize)
     for codec, settings in ENCODERS.items():
-        cost.sizes[codec] += sum(len(chips.encode(chip, settings)) for chip in cut)
+        frame = FrameCut[int]([(x0, y0, x1, y1) for x0, y0, x1, y1 in plan.regions.tolist()])
+        cutter = chips.ChipCutter(pixels, layout, settings, _fail)
+        frame.run(cutter.cut, record=lambda chip: len(chip.data))
+        cost.sizes[codec] += sum(frame.records)
     image = shapely.box(0, 0, pixels.shape[1], pixels.shape[0])
     for region, row in zip(plan.regions, plan.sources, strict=True):
         hull = labels.hulls[row]
@@ -88,6 +92,11 @@ def _add(cost: Cost, labels: ImageLabels, pixels: NDArray[Any], plan: crops.Crop
             visible = shapely.make_valid(shapely.polygons(hull)) & image
             cost.hull += visible.area
             cost.hull_lost += (visible - shapely.box(*region)).area
+
+
+def _fail(_: chips.Region, error: Exception) -> None:
+    """Raise: a chip that cannot be encoded would make the costs wrong."""
+    raise error
 
 
 def render(labels: ImageLabels) -> NDArray[np.uint8]:

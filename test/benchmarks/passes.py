@@ -29,12 +29,14 @@ from obbhbb_ros.downlink.budget import BudgetSettings
 from obbhbb_ros.downlink.budget import FrameBudget
 from obbhbb_ros.downlink.budget import TokenBucket
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
-from obbhbb_ros.downlink.chips import Chip
+from obbhbb_ros.downlink.chips import ChipCutter
 from obbhbb_ros.downlink.chips import CodecSettings
-from obbhbb_ros.downlink.chips import chips_of
+from obbhbb_ros.downlink.chips import EncodedChip
 from obbhbb_ros.downlink.crops import CropPlan
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.crops import plan_crops
+from obbhbb_ros.downlink.frame import FrameCut
+from obbhbb_ros.downlink.frame import FrameLink
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.outbox import json_bytes
@@ -102,7 +104,7 @@ class Day:
 class Planned(NamedTuple):
     """A chip that is planned: as it is cut, and as it is stored, with its score as value."""
 
-    chip: Chip
+    chip: EncodedChip
     record: NewChip
 
 
@@ -133,16 +135,10 @@ class Scene:
         boxes = OrientedBoxes.from_corners(labels.corners)
         self._labels, self._xyxy = labels, convert(boxes)
         self._obb = np.column_stack((boxes.center.T, boxes.length, boxes.width, boxes.theta))
-        regions = self._plan(labels.scores).regions.tolist()
+        cutter = ChipCutter(render(labels), PIXEL_FORMATS['rgb8'], CodecSettings(), print)
         self._chips = {
-            chip.region: chip
-            for chip in chips_of(
-                render(labels),
-                PIXEL_FORMATS['rgb8'],
-                [tuple(each) for each in regions],
-                CodecSettings(),
-                print,
-            )
+            region: cutter.cut(0, region)
+            for region in map(tuple, self._plan(labels.scores).regions.tolist())
         }
 
     @property
@@ -165,7 +161,7 @@ class Scene:
         """Plan with the default settings: a region for each ship."""
         return plan_crops(self._xyxy, scores, self._labels.size, CropSettings())
 
-    def _record(self, time: float, chip: Chip, value: float, row: int) -> NewChip:
+    def _record(self, time: float, chip: EncodedChip, value: float, row: int) -> NewChip:
         """Describe a chip, with as much as `chip_extractor` says about one."""
         x0, y0, x1, y1 = chip.region
         facts = {
@@ -179,6 +175,17 @@ class Scene:
             'camera_matrix': [1500.0, 0.0, 512.0, 0.0, 1500.0, 384.0, 0.0, 0.0, 1.0],
         }
         return NewChip(value, self._labels.class_ids[row], (int(time), 0), facts, chip.data)
+
+
+def run_frame(
+    planned: Sequence[Planned],
+    link: FrameLink | None = None,
+    record: Callable[[EncodedChip], NewChip] | None = None,
+) -> FrameCut[NewChip]:
+    """Run the node's loop over a frame whose chips are cut already."""
+    frame = FrameCut[NewChip]([chip.region for chip, _ in planned])
+    frame.run(lambda index, _: planned[index].chip, link, record)
+    return frame
 
 
 class Topic:
@@ -201,11 +208,13 @@ class Topic:
         """Send of a frame what the link takes."""
         if not contact:
             return
+
+        def send(chip: EncodedChip, data: bytes) -> None:
+            value = planned[chip.index].record.value
+            self.delivered.append(Delivered(self._clock.now, value, 0.0, len(data)))
+
         budget = FrameBudget(self._settings, self._bucket, CodecSettings(), self._clock)
-        for chip, record in planned:
-            data = budget.admit(chip)
-            if isinstance(data, bytes):
-                self.delivered.append(Delivered(self._clock.now, record.value, 0.0, len(data)))
+        run_frame(planned, FrameLink(budget, send))
 
     def run(self, until: float, contact: bool) -> None:
         """Let time pass."""
@@ -238,12 +247,15 @@ class Spooled:
     def take(self, planned: Sequence[Planned], contact: bool) -> None:
         """Store a frame."""
         writer = self._spools['writer']
-        chips = [
-            replace(record, value=self._rank(record.value, self._stored + i))
-            for i, (_, record) in enumerate(planned)
-        ]
-        self._stored += len(chips)
-        writer.store(writer.plan(len(chips)), chips, {}, self._max_bytes)
+        plan = writer.plan(len(planned))
+
+        def record(chip: EncodedChip) -> NewChip:
+            known = planned[chip.index].record
+            return replace(known, value=self._rank(known.value, self._stored + chip.index))
+
+        frame = run_frame(planned, record=record)
+        self._stored += len(planned)
+        writer.store(plan, frame.records, frame.not_recorded, self._max_bytes)
 
     def run(self, until: float, contact: bool) -> None:
         """Release chips, if there is contact, until a time."""

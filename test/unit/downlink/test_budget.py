@@ -2,7 +2,6 @@
 """The budget of the link: never exceeded, the most valuable first, everything accounted for."""
 
 import itertools
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +13,11 @@ from obbhbb_ros.downlink.budget import BudgetSettings
 from obbhbb_ros.downlink.budget import FrameBudget
 from obbhbb_ros.downlink.budget import TokenBucket
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
+from obbhbb_ros.downlink.chips import ChipCutter
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import Dropped
-from obbhbb_ros.downlink.chips import chips_of
+from obbhbb_ros.downlink.frame import FrameCut
+from obbhbb_ros.downlink.frame import FrameLink
 
 PNG = CodecSettings('png')
 GREY = PIXEL_FORMATS['mono8']
@@ -79,22 +80,18 @@ def test_more_than_there_is_cannot_be_spent() -> None:
 
 def send(sides, budget, codec=PNG, bucket=None, view=NOISE, now=0.0):
     """Ask for square chips; give the sides of those sent, what was dropped, and the files."""
-    regions = [(0, 0, side, side) for side in sides]
-    frame = FrameBudget(budget, bucket or TokenBucket(budget, now), codec, lambda: now)
-    sent, dropped, files = [], Counter(), []
-    for chip in chips_of(view, GREY, regions, codec, no_drop):
-        admitted = frame.admit(chip)
-        if isinstance(admitted, Dropped):
-            dropped[admitted.value] += 1
-        else:
-            sent.append(chip.region[2])
-            files.append(admitted)
-    assert len(files) + sum(dropped.values()) == len(sides)
-    return sent, dropped, files
+    frame = FrameCut([(0, 0, side, side) for side in sides])
+    limits = FrameBudget(budget, bucket or TokenBucket(budget, now), codec, lambda: now)
+    sent = []
+    link = FrameLink(limits, lambda chip, data: sent.append((chip.region[2], data)))
+    frame.run(ChipCutter(view, GREY, codec, fail).cut, link)
+    assert frame.sent == len(sent)
+    assert frame.sent + frame.not_sent.total() == len(sides)
+    return [side for side, _ in sent], frame.not_sent, [data for _, data in sent]
 
 
-def no_drop(*args):
-    raise AssertionError(args)
+def fail(*failure):
+    raise AssertionError(failure)
 
 
 def test_without_a_budget_everything_goes_in_order() -> None:

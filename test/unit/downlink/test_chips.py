@@ -11,10 +11,10 @@ from PIL import Image
 
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
+from obbhbb_ros.downlink.chips import ChipCutter
 from obbhbb_ros.downlink.chips import ChipError
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import Dropped
-from obbhbb_ros.downlink.chips import chips_of
 from obbhbb_ros.downlink.chips import cut
 from obbhbb_ros.downlink.chips import encode
 from obbhbb_ros.downlink.chips import format_text
@@ -215,27 +215,32 @@ def test_settings_that_cannot_be_are_an_error_that_names_them(wrong, message) ->
         CodecSettings(**wrong)
 
 
-def chips_and_drops(view, regions, codec):
-    """Give the regions of the chips, and what was dropped: reason, region, error."""
-    drops = []
-    grey = PIXEL_FORMATS['mono8']
-    chips = list(chips_of(view, grey, regions, codec, lambda *args: drops.append(args)))
-    return [(chip.index, chip.region) for chip in chips], drops
+def chips_and_failures(view, regions, codec):
+    """Cut regions; return index and place of each chip, or why there is none, and the failures."""
+    failures = []
+    cutter = ChipCutter(
+        view, PIXEL_FORMATS['mono8'], codec, lambda *failure: failures.append(failure)
+    )
+    chips = [cutter.cut(index, region) for index, region in enumerate(regions)]
+    return [
+        chip if isinstance(chip, Dropped) else (chip.index, chip.region) for chip in chips
+    ], failures
 
 
-def test_a_region_outside_the_image_is_told() -> None:
+def test_a_region_outside_the_image_gives_no_chip() -> None:
     outside, empty = (500, 0, 510, 10), (9, 9, 9, 9)
-    chips, drops = chips_and_drops(
+    chips, failures = chips_and_failures(
         np.zeros((40, 40, 1), np.uint8), [outside, (0, 0, 4, 4), empty], CodecSettings('png')
     )
-    assert chips == [(1, (0, 0, 4, 4))]
-    assert drops == [(Dropped.OUTSIDE, outside, None), (Dropped.OUTSIDE, empty, None)]
+    assert chips == [Dropped.OUTSIDE, (1, (0, 0, 4, 4)), Dropped.OUTSIDE]
+    assert failures == []
 
 
-def test_a_chip_that_the_format_cannot_hold_is_told() -> None:
+def test_a_chip_that_the_format_cannot_hold_is_reported() -> None:
     wide = np.zeros((1, 20_000, 1), np.uint8)
-    chips, drops = chips_and_drops(wide, [(0, 0, 20_000, 1), (0, 0, 4, 1)], CodecSettings('webp'))
-    assert chips == [(1, (0, 0, 4, 1))]
-    ((reason, region, error),) = drops
-    assert (reason, region) == (Dropped.ENCODER, (0, 0, 20_000, 1))
+    regions = [(0, 0, 20_000, 1), (-9, 0, 4, 1)]
+    chips, failures = chips_and_failures(wide, regions, CodecSettings('webp'))
+    assert chips == [Dropped.ENCODER, (1, (0, 0, 4, 1))]
+    ((region, error),) = failures
+    assert region == (0, 0, 20_000, 1)
     assert isinstance(error, (ValueError, OSError))

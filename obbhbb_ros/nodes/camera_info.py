@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The camera of an image, and what it is for a chip of the image."""
+"""The camera info of an image, and the region of interest of a chip in it."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image import read_image_size
 
-# What a region of interest can hold.
-_FARTHEST = 2**32 - 1
+# Maximum of the numbers in a region of interest.
+_MAX_UINT32 = 2**32 - 1
 
 
-class Camera:
+class LatestCameraInfo:
     """
-    The latest camera info.
+    The latest message on `camera_info`.
 
     Attributes
     ----------
     image_size : tuple of int
-        Width and height of the images that it is for, pixels; 0 before the first one.
+        Width and height of the images that it describes, pixels; 0 before the first message.
     """
 
     def __init__(self) -> None:
         self.image_size = (0, 0)
         self._info = CameraInfo()
 
-    def see(self, data: bytes) -> None:
-        """Take in a serialized camera info; WireError if the bytes are no such message."""
+    def update(self, data: bytes) -> None:
+        """Take a serialized camera info; WireError if it cannot be read."""
         size = read_image_size(data)
         try:
             info = deserialize_message(data, CameraInfo)
         except Exception as error:
-            # A text that is no UTF-8, for example.
+            # For example, a string that is not UTF-8.
             raise WireError(str(error)) from None
         ends = [
             start + length * max(binning, 1)
@@ -49,12 +49,12 @@ class Camera:
                 strict=True,
             )
         ]
-        if max(ends) > _FARTHEST:
+        if max(ends) > _MAX_UINT32:
             raise WireError(f'a region of interest up to {ends[0]}, {ends[1]}')
         self._info, self.image_size = info, size
 
     def info_for(self, image: WireImage) -> Any:
-        """Return the camera info of an image; with its size alone if none is known for that."""
+        """Return the latest camera info if it fits the image, else one with the size alone."""
         if self.image_size == (image.width, image.height):
             return self._info
         return CameraInfo(width=image.width, height=image.height)
@@ -62,7 +62,7 @@ class Camera:
 
 def region_of_interest(info: Any, region: Region) -> Any:
     """
-    Write the place of a chip as that of an image of the camera.
+    Return the region of interest of a chip.
 
     Parameters
     ----------

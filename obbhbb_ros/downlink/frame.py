@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The loop over the regions of a frame: cut each one, record it for the spool, offer it to the link.
+
+No ROS in here: the node, the chip study and the simulation of passes all run this loop.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic
+from typing import TypeVar
+
+from obbhbb_ros.downlink.budget import FrameBudget
+from obbhbb_ros.downlink.chips import Dropped
+from obbhbb_ros.downlink.chips import EncodedChip
+from obbhbb_ros.downlink.chips import Region
+
+Record = TypeVar('Record')
+
+
+@dataclass(frozen=True)
+class FrameLink:
+    """
+    The link for the chips of one frame.
+
+    Attributes
+    ----------
+    budget : FrameBudget
+        Decides which chips go out.
+    send : callable
+        Sends a chip, given the chip and its file, which may be of lower quality than `chip.data`.
+    """
+
+    budget: FrameBudget
+    send: Callable[[EncodedChip, bytes], None]
+
+    def offer(self, chip: EncodedChip) -> Dropped | None:
+        """Send a chip if the budget admits it; return why it was not sent."""
+        admitted = self.budget.admit(chip)
+        if isinstance(admitted, Dropped):
+            return admitted
+        self.send(chip, admitted)
+        return None
+
+
+class FrameCut(Generic[Record]):
+    """
+    The regions of one frame, and what becomes of each of them.
+
+    For link and spool alike, each region has either success or exactly one reason why it was
+    dropped. Until `run` comes to it, and after an exception, that reason is `Dropped.FAILED`.
+
+    Parameters
+    ----------
+    regions : sequence of tuple of int
+        x0, y0, x1, y1 of each region, pixels, most valuable first.
+
+    Attributes
+    ----------
+    records : list
+        The records of the chips, in the order of the regions.
+
+    Examples
+    --------
+    >>> frame = FrameCut[int]([(0, 0, 4, 4), (9, 9, 9, 9)])
+    >>> frame.close_link(Dropped.NO_SUBSCRIBER)
+    >>> frame.run(lambda index, region: Dropped.OUTSIDE, record=lambda chip: len(chip.data))
+    >>> frame.sent, frame.not_sent, frame.not_recorded
+    (0, Counter({'no_subscriber': 2}), Counter({'outside_image': 2}))
+    """
+
+    def __init__(self, regions: Sequence[Region]) -> None:
+        self._regions = regions
+        self._sending: list[Dropped | None] = [Dropped.FAILED] * len(regions)
+        self._recording: list[Dropped | None] = [Dropped.FAILED] * len(regions)
+        self.records: list[Record] = []
+
+    @property
+    def sent(self) -> int:
+        """Number of chips that were sent."""
+        return self._sending.count(None)
+
+    @property
+    def not_sent(self) -> Counter[str]:
+        """Number of regions whose chip was not sent, by reason."""
+        return _by_reason(self._sending)
+
+    @property
+    def not_recorded(self) -> Counter[str]:
+        """Number of regions without a record, by reason."""
+        return _by_reason(self._recording)
+
+    def close_link(self, reason: Dropped, start: int = 0) -> None:
+        """Note why no chip is sent, from the region with index `start` on."""
+        self._sending[start:] = [reason] * (len(self._regions) - start)
+
+    def refuse(self, reason: Dropped) -> None:
+        """Note why nothing was cut, for link and spool alike."""
+        for fates in (self._sending, self._recording):
+            fates[:] = [reason if fate is Dropped.FAILED else fate for fate in fates]
+
+    def run(
+        self,
+        cut: Callable[[int, Region], EncodedChip | Dropped],
+        link: FrameLink | None = None,
+        record: Callable[[EncodedChip], Record] | None = None,
+    ) -> None:
+        """
+        Cut the regions in order, as long as link or spool want more of them.
+
+        An exception from `link.send` closes the link only; it is raised when all chips are
+        recorded. Any other exception ends the loop.
+
+        Parameters
+        ----------
+        cut : callable
+            Returns the chip of a region, or why there is none, given the region's index and
+            corners: `obbhbb_ros.downlink.chips.ChipCutter.cut`, for example.
+        link : FrameLink, optional
+            Where chips are sent. None: nowhere.
+        record : callable, optional
+            Returns what the spool stores of a chip. None: there is no spool.
+        """
+        error: Exception | None = None
+        for index, region in enumerate(self._regions):
+            if link is None and record is None:
+                break
+            chip = cut(index, region)
+            if record is not None:
+                self._record(index, chip, record)
+            if link is not None:
+                try:
+                    is_open = self._offer(index, chip, link)
+                except Exception as send_error:
+                    error, is_open = send_error, False
+                link = link if is_open else None
+        if error is not None:
+            raise error
+
+    def _record(
+        self, index: int, chip: EncodedChip | Dropped, record: Callable[[EncodedChip], Record]
+    ) -> None:
+        """Record the chip of a region."""
+        if isinstance(chip, Dropped):
+            self._recording[index] = chip
+        else:
+            self.records.append(record(chip))
+            self._recording[index] = None
+
+    def _offer(self, index: int, chip: EncodedChip | Dropped, link: FrameLink) -> bool:
+        """Offer the chip of a region to the link; return whether it takes more."""
+        self._sending[index] = chip if isinstance(chip, Dropped) else link.offer(chip)
+        ended_by = link.budget.ended_by
+        if ended_by is not None:
+            self.close_link(ended_by, index + 1)
+        return ended_by is None
+
+
+def _by_reason(fates: Sequence[Dropped | None]) -> Counter[str]:
+    """Count what was dropped."""
+    return Counter(reason.value for reason in fates if reason is not None)
