@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line `obbhbb`: errors and signals of the commands in `obbhbb_ros.commands`."""
+"""The command line `obbhbb`: runs a command, and turns its errors and signals into exit codes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import sys
 import threading
 from collections.abc import Sequence
 
-# Shells add this to the number of the signal that ended a command.
+from obbhbb_ros.errors import ObbhbbError
+
+# Shells add the number of the signal that ended a command to this.
 _BY_SIGNAL = 128
 
 
@@ -28,24 +30,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit code.
     """
-    for name in ('stdout', 'stderr'):
-        if getattr(sys, name) is None:
-            # Closed by the caller: output is discarded.
-            setattr(sys, name, open(os.devnull, 'w', encoding='utf-8'))  # noqa: SIM115
-        stream = getattr(sys, name)
-        if isinstance(stream, io.TextIOWrapper):
-            # A terminal may lack letters of a class or a path.
-            stream.reconfigure(errors='backslashreplace')
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    _prepare_output()
     if threading.current_thread() is threading.main_thread():
-        # By default the process would leave unfinished files behind.
-        signal.signal(signal.SIGTERM, _end_by)
+        # The default handler would leave unfinished files behind.
+        signal.signal(signal.SIGTERM, _exit_by_signal)
     try:
-        # Imported here so that Ctrl-C while NumPy and shapely load prints no traceback.
+        # Imported here so that Ctrl-C while NumPy and shapely are loading prints no traceback.
         from obbhbb_ros.commands import run
 
-        code = run(given)
-        # Flushed here, because errors when Python exits cannot be reported.
+        code = run(sys.argv[1:] if arguments is None else arguments)
+        # Flushed here, because an error while Python exits cannot be reported.
         sys.stdout.flush()
     except KeyboardInterrupt:
         return _BY_SIGNAL + signal.SIGINT
@@ -53,15 +47,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader of the output, such as `head`, has closed it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return _BY_SIGNAL + signal.SIGPIPE
-    except (ImportError, OSError, ValueError) as error:
+    except (ObbhbbError, ImportError, OSError, ValueError) as error:
         advice = '; see the extras in the README' if isinstance(error, ImportError) else ''
         print(f'obbhbb: {error}{advice}', file=sys.stderr)
         return 1
     return code
 
 
-def _end_by(number: int, frame: object) -> None:
-    """End the process with the exit code that stands for a signal."""
+def _prepare_output() -> None:
+    """Accept closed output streams, and letters that the terminal lacks."""
+    for name in ('stdout', 'stderr'):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, 'w', encoding='utf-8'))  # noqa: SIM115
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors='backslashreplace')
+
+
+def _exit_by_signal(number: int, frame: object) -> None:
+    """Exit with the code that shells use for a signal."""
     raise SystemExit(_BY_SIGNAL + number)
 
 

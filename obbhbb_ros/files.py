@@ -36,7 +36,7 @@ def replacing(path: Path) -> Iterator[Path]:
     if path.exists() and not path.is_file():
         yield path
         return
-    # Not before: that of a pipe behind /dev/stdout is no path.
+    # Only now: a pipe behind /dev/stdout has no real path.
     path = Path(os.path.realpath(path))
     _prepare(path)
     partial = path.with_name(f'.{secrets.token_hex(4)}{path.suffix}')
@@ -54,32 +54,32 @@ def replacing_all(path: Path, stale: Collection[str] = ()) -> Iterator[Path]:
     """
     Provide a temporary file as `replacing` does, for formats that write several files.
 
-    The others have the name of `path` with other suffixes. Existing files of that name with a
-    suffix in `stale` do not fit the new file and are deleted.
+    The other files have the name of `path` with other suffixes. Existing files of that name with a
+    suffix in `stale` would not match the new file and are deleted.
     """
     path = Path(os.path.realpath(path))
     _prepare(path)
     with tempfile.TemporaryDirectory(prefix='.', dir=path.parent) as folder:
         main = Path(folder) / path.name
         yield main
-        made = set(Path(folder).iterdir())
+        partials = set(Path(folder).iterdir())
         # Readers would trust the index of the previous file.
         for old in path.parent.glob(f'{glob.escape(path.stem)}.*'):
-            if old.suffix.lower() in stale and Path(folder) / old.name not in made:
+            if old.suffix.lower() in stale and Path(folder) / old.name not in partials:
                 old.unlink()
         # Readers open the main file, so it comes last.
-        for each in sorted(made, key=lambda each: each == main):
-            _put_in_place(each, path.with_name(each.name))
+        for partial in sorted(partials, key=lambda partial: partial == main):
+            _put_in_place(partial, path.with_name(partial.name))
 
 
 @contextmanager
 def making(path: Path) -> Iterator[Path]:
     """
-    Provide the name of a temporary folder in a `with` block that becomes `path` if it succeeds.
+    Provide the path of a temporary folder in a `with` block that becomes `path` if it succeeds.
 
-    The block makes the folder. Missing parent folders are created. After any failure neither
-    `path` nor anything temporary is there. The temporary folder has the same name, in another
-    temporary folder beside `path`, where the block may put what it needs meanwhile.
+    The block creates the folder; missing parent folders are created. After any failure neither
+    `path` nor anything temporary is left. The temporary folder has the same name and is in another
+    temporary folder beside `path`, where the block may put other temporary files.
 
     Raises
     ------
@@ -93,9 +93,8 @@ def making(path: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix='.', dir=path.parent) as folder:
         partial = Path(folder) / path.name
         yield partial
-        for made in partial.iterdir():
-            with made.open('rb') as stream:
-                os.fsync(stream.fileno())
+        for file in partial.iterdir():
+            _flush(file)
         partial.rename(path)
 
 
@@ -117,7 +116,7 @@ def write_pieces(path: Path, pieces: Iterable[str]) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Have the names of the files in a folder on disk."""
+    """Flush the entries of a folder, the names of its files, to disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -126,16 +125,21 @@ def sync_folder(folder: Path) -> None:
 
 
 def _prepare(path: Path) -> None:
-    """Create the parent folders, and refuse to replace a file without write permission."""
+    """Create the parent folders; raise PermissionError if an existing file is read-only."""
     if path.exists() and not os.access(path, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
 
 
-def _put_in_place(made: Path, path: Path) -> None:
+def _put_in_place(partial: Path, path: Path) -> None:
     """Flush a file to disk and move it to `path`, with the mode of the file it replaces."""
-    with made.open('rb') as stream:
-        os.fsync(stream.fileno())
+    _flush(partial)
     if path.exists():
-        shutil.copymode(path, made)
-    os.replace(made, path)
+        shutil.copymode(path, partial)
+    os.replace(partial, path)
+
+
+def _flush(file: Path) -> None:
+    """Flush a file to disk."""
+    with file.open('rb') as stream:
+        os.fsync(stream.fileno())

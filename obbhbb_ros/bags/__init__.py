@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded messages (rosbag2): what the node would send for them, without ROS. Extra `bags`."""
+"""Bags (rosbag2): what the node would send for recorded messages. Needs the extra `bags`."""

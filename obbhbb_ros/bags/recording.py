@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag of messages that were received as bytes."""
+"""Writes received messages, as bytes, to a bag."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ def write_bag(
     Parameters
     ----------
     target : Path
-        The bag to make; it appears when it is complete.
+        The bag to write; it appears when it is complete.
     topics : mapping of str to str
         Message type by topic; types of ROS 2 Jazzy, and `vision_msgs/msg/Detection2DArray`.
     messages : iterable of (str, int, bytes)
-        Topic, nanoseconds since 1970 and serialized message, in the order of time.
+        Topic, nanoseconds since 1970 and serialized message, in order of time.
 
     Raises
     ------
     OSError
-        If it cannot be written, or exists.
+        If the bag cannot be written, or exists.
     """
     with making(target) as partial_bag:
         writer = Writer(partial_bag, version=VERSION, storage_plugin=StoragePlugin.MCAP)

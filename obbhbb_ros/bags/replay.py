@@ -45,6 +45,7 @@ from obbhbb_ros.bags.topics import Topics
 from obbhbb_ros.bags.topics import add_output
 from obbhbb_ros.bags.topics import add_topics
 from obbhbb_ros.bags.topics import choose
+from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.files import making
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.pipeline import Outputs
@@ -57,27 +58,29 @@ from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import read_image_size
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
-# Converting more than this many messages takes longer than starting a process.
+# Converting more messages than this takes longer than starting processes for it.
 FEW_MESSAGES = 4000
 
 UNREADABLE = 'unreadable message'
 
-# Parameters that ROS itself gives each node, besides `qos_overrides`.
+# Parameters that ROS adds to every node, besides `qos_overrides`.
 _OF_EVERY_NODE = {'use_sim_time', 'start_type_description_service'}
 
-_STRETCH_BYTES = 2**20
-_STRETCHES_AHEAD = 8
+# Messages are converted in stretches of this size.
+STRETCH_BYTES = 2**20
+# Stretches that may wait for the one to be written next.
+MAX_WAITING_STRETCHES = 8
 
 Report: TypeAlias = Callable[[str], None]
 Progress: TypeAlias = Callable[[Iterable[Any], int], Iterable[Any]]
 
 
-class DamagedBagError(ValueError):
-    """A bag that cannot be read, or not to its end."""
+class DamagedBagError(ObbhbbError, ValueError):
+    """A bag that cannot be read to its end."""
 
 
 @dataclass(frozen=True)
-class Options:
+class ReplayOptions:
     """
     What to convert and how.
 
@@ -88,10 +91,10 @@ class Options:
     params_file : Path, optional
         ROS parameter file of the node; the defaults apply without one.
     node : str
-        Full name of the node in it; `obb_to_hbb` in the namespace of the input by default.
+        Full name of the node in that file; `obb_to_hbb` in the namespace of the input by default.
     storage, compression : str
-        Names of a `StoragePlugin` and of a `CompressionMode`, in lower case; those of the source
-        by default.
+        Names of a `StoragePlugin` and of a `CompressionMode`, in lower case; as the source by
+        default.
     replace : bool
         Whether boxes and crop regions in the source are left out.
     """
@@ -106,7 +109,7 @@ class Options:
 
 
 @dataclass
-class Tally:
+class BagTally:
     """
     What became of a bag.
 
@@ -137,7 +140,7 @@ class Tally:
         return not self.lost and not any(name.startswith(bad) for name in self.counts)
 
     def __str__(self) -> str:
-        """Write it as lines of text."""
+        """Return the counts as lines of text."""
         topics, rows = self.topics, {'messages copied': self.copied}
         rows |= {f'messages on {topic}': self.published[topic] for topic in topics.outputs}
         rows |= dict(sorted(self.counts.items()))
@@ -150,36 +153,35 @@ class Tally:
 def add_boxes(
     source: Path,
     target: Path,
-    options: Options,
+    options: ReplayOptions,
     report: Report = print,
     progress: Progress = lambda messages, total: messages,
-) -> Tally:
+) -> BagTally:
     """
-    Write a bag again, with the boxes and crop regions that the node would have sent.
+    Write a copy of a bag, with the boxes and crop regions that the node would have sent.
 
     Parameters
     ----------
     source : Path
         A bag, or a storage file of one.
     target : Path
-        The bag to make; it appears when it is complete.
-    options : Options
+        The bag to write; it appears when it is complete.
+    options : ReplayOptions
         What to convert and how.
     report : callable
-        Takes what is wrong with the bag or with a message, a line of text each.
+        Gets a line of text for everything that is wrong with the bag or with a message.
     progress : callable
-        Takes messages and their number and yields the messages.
+        Gets the messages and their number; passes the messages on and shows the progress.
 
     Returns
     -------
-    Tally
+    BagTally
         What was read, written and lost.
 
     Raises
     ------
     ValueError
-        If the source holds nothing that can be read, the topic is not clear, or parameters cannot
-        be used.
+        If nothing in the source can be read, the topic is ambiguous, or parameters cannot be used.
     OSError
         If a file cannot be read or written, or the target exists.
     """
@@ -200,7 +202,7 @@ def add_boxes(
 
 @contextmanager
 def _sqlite_errors_are_os_errors(target: Path) -> Iterator[None]:
-    """Report a full disk alike, whatever the storage."""
+    """Report a full disk in the same way for every storage."""
     try:
         yield
     except sqlite3.Error as error:
@@ -208,9 +210,9 @@ def _sqlite_errors_are_os_errors(target: Path) -> Iterator[None]:
 
 
 def _replay(
-    source: Path, target: Path, options: Options, report: Report, progress: Progress
-) -> Tally:
-    """Write a bag again, if it can be read to its end."""
+    source: Path, target: Path, options: ReplayOptions, report: Report, progress: Progress
+) -> BagTally:
+    """Write a copy of a bag that can be read to its end."""
     with _opened(source) as reader:
         topics = choose(reader.connections, options.topic, options.camera_info)
         settings = _settings(topics, options, report)
@@ -233,7 +235,7 @@ def _opened(source: Path) -> Iterator[Reader]:
         reader.open()
     except PermissionError:
         raise
-    # Whatever a library says of broken bytes.
+    # Any exception: the libraries raise errors of many kinds for broken bytes.
     except Exception as error:
         raise DamagedBagError(str(error)) from error
     try:
@@ -242,8 +244,8 @@ def _opened(source: Path) -> Iterator[Reader]:
         reader.close()
 
 
-def _settings(topics: Topics, options: Options, report: Report) -> ConversionSettings:
-    """Read the parameters that the node would have."""
+def _settings(topics: Topics, options: ReplayOptions, report: Report) -> ConversionSettings:
+    """Read the parameters as the node would."""
     values: Values = {}
     if options.params_file:
         namespace = topics.detections.rpartition('/')[0]
@@ -259,17 +261,18 @@ def _settings(topics: Topics, options: Options, report: Report) -> ConversionSet
 
 
 def _kept(connections: Sequence[Connection], topics: Topics, replace: bool) -> list[Connection]:
-    """List what is copied: all but former boxes and crop regions."""
-    there = [each.topic for each in connections if each.topic in topics.outputs]
-    if there and not replace:
-        raise ValueError(f'the bag has {" and ".join(there)} already; --replace leaves them out')
-    return [each for each in connections if each.topic not in there]
+    """List what is copied: everything but earlier boxes and crop regions."""
+    topics_there = [connection.topic for connection in connections]
+    earlier = [topic for topic in topics_there if topic in topics.outputs]
+    if earlier and not replace:
+        raise ValueError(f'the bag has {" and ".join(earlier)} already; --replace leaves them out')
+    return [connection for connection in connections if connection.topic not in earlier]
 
 
-def _writer(source: Path, target: Path, reader: Reader, options: Options) -> Writer:
-    """Make a writer of a bag that is stored like the source, as far as options do not differ."""
+def _writer(source: Path, target: Path, reader: Reader, options: ReplayOptions) -> Writer:
+    """Create a writer that stores the bag like the source, unless options say otherwise."""
     files = storage_files(source)
-    is_mcap = any('.mcap' in each.suffixes for each in files)
+    is_mcap = any('.mcap' in file.suffixes for file in files)
     storage = options.storage or ('mcap' if is_mcap else 'sqlite3')
     compression = options.compression or reader.compression_mode or ''
     if not compression and storage == 'mcap' and is_mcap and _has_compressed_chunks(files[0]):
@@ -285,31 +288,31 @@ def _writer(source: Path, target: Path, reader: Reader, options: Options) -> Wri
 
 
 def _has_compressed_chunks(path: Path) -> bool:
-    """Tell whether the messages of an MCAP file are compressed."""
+    """Return whether the messages of an MCAP file are compressed."""
     with path.open('rb') as stream:
-        return any(each.compression for each in summary_of(stream).chunk_indexes)
+        return any(chunk.compression for chunk in summary_of(stream).chunk_indexes)
 
 
 class _Stretch(NamedTuple):
-    """Messages of a bag in their order, and what of them is converted: bytes, camera size."""
+    """Consecutive messages of a bag; of those to be converted also bytes and camera size."""
 
     messages: list[tuple[Connection, int, bytes]]
     inputs: list[tuple[bytes, tuple[int, int]]]
 
 
 class _Answer(NamedTuple):
-    """What the node would send for a message, by output, and what became of the message."""
+    """What the node would send for a message, by output, with its counts and complaints."""
 
     messages: dict[int, bytes]
     counts: Counter[str]
     complaints: dict[str, str]
 
 
-def _answers(
+def answers_to(
     input_type: str, settings: ConversionSettings, inputs: Iterable[tuple[bytes, tuple[int, int]]]
 ) -> list[_Answer]:
-    """Convert messages, given with the camera size of their time."""
-    found = []
+    """Convert messages; each comes with the camera size of its time."""
+    answers = []
     for data, camera_size in inputs:
         messages: dict[int, bytes] = {}
         outputs = Outputs(*(Output(partial(messages.__setitem__, i)) for i in range(len(OUTPUTS))))
@@ -317,22 +320,22 @@ def _answers(
             outcome = answer(data, INPUT_TYPES[input_type], settings, camera_size, outputs)
         except WireError as error:
             counts = Counter({'messages_unreadable': 1})
-            found.append(_Answer({}, counts, {UNREADABLE: f'cannot be read: {error}'}))
+            answers.append(_Answer({}, counts, {UNREADABLE: f'cannot be read: {error}'}))
         else:
-            found.append(_Answer(messages, outcome.counts, outcome.complaints))
-    return found
+            answers.append(_Answer(messages, outcome.counts, outcome.complaints))
+    return answers
 
 
 class _Replay:
-    """The passage of the messages of one bag."""
+    """Copies the messages of one bag, and adds the answers of the node."""
 
     def __init__(
         self, reader: Reader, topics: Topics, settings: ConversionSettings, report: Report
     ) -> None:
-        self.tally = Tally(topics)
+        self.tally = BagTally(topics)
         self._reader = reader
         self._report = report
-        self._convert = partial(_answers, topics.input_type.name, settings)
+        self._convert = partial(answers_to, topics.input_type.name, settings)
         self._camera_size = (0, 0)
         self._cameras = 0
         self._complaints: set[str] = set()
@@ -344,9 +347,10 @@ class _Replay:
         outputs: Sequence[Connection],
         progress: Progress,
     ) -> None:
-        """Write every message, and the answers behind those that have any, in their order."""
+        """Write all messages in their order, each followed by its answers."""
         stretches = self._stretches(progress(self._messages(), self._reader.message_count))
-        expected = sum(each.msgcount for each in self._reader.connections if self._is_input(each))
+        inputs = filter(self._is_input, self._reader.connections)
+        expected = sum(connection.msgcount for connection in inputs)
         for stretch, answers in _converted(stretches, self._convert, expected > FEW_MESSAGES):
             waiting = iter(answers)
             for connection, moment, data in stretch.messages:
@@ -359,13 +363,13 @@ class _Replay:
                         self.tally.published[outputs[i].topic] += 1
 
     def _is_input(self, connection: Connection) -> bool:
-        """Tell whether messages are converted."""
+        """Return whether the messages of a topic are converted."""
         topics = self.tally.topics
         named: bool = connection.topic == topics.detections
         return named and connection.msgtype.endswith(f'/{topics.input_type.name}')
 
     def _is_camera_info(self, connection: Connection) -> bool:
-        """Tell whether messages have the size of the image."""
+        """Return whether the messages of a topic hold the size of the image."""
         named: bool = connection.topic == self.tally.topics.camera_info
         return named and connection.msgtype == CAMERA_INFO_TYPE
 
@@ -376,14 +380,14 @@ class _Replay:
             for message in self._reader.messages():
                 yield message
                 count += 1
-        # Whatever a library says of broken bytes.
+        # Any exception: the libraries raise errors of many kinds for broken bytes.
         except Exception as error:
             raise DamagedBagError(f'after {count} messages: {error}') from error
         if count != (expected := self._reader.message_count):
-            raise DamagedBagError(f'it has {count} messages, and says {expected}')
+            raise DamagedBagError(f'it has {count} messages, but its metadata says {expected}')
 
     def _stretches(self, messages: Iterable[tuple[Connection, int, bytes]]) -> Iterator[_Stretch]:
-        """Divide the messages into stretches of bounded size."""
+        """Divide the messages into stretches of about `STRETCH_BYTES`."""
         stretch, size = _Stretch([], []), 0
         for message in messages:
             connection, _, data = message
@@ -393,7 +397,7 @@ class _Replay:
                 stretch.inputs.append((data, self._camera_size))
             elif self._is_camera_info(connection):
                 self._learn_size(connection, data)
-            if size > _STRETCH_BYTES:
+            if size > STRETCH_BYTES:
                 yield stretch
                 stretch, size = _Stretch([], []), 0
         yield stretch
@@ -408,7 +412,7 @@ class _Replay:
             self._report(f'message {self._cameras} on {connection.topic} cannot be read: {error}')
 
     def _noted(self, answer: _Answer) -> dict[int, bytes]:
-        """Count what became of a message, and report it; of what may concern all, the first."""
+        """Count and report what became of a message; complaints about every message only once."""
         counts, topic = self.tally.counts, self.tally.topics.detections
         counts['messages_received'] += 1
         counts.update(answer.counts)
@@ -424,22 +428,21 @@ def _converted(
     convert: Callable[[list[tuple[bytes, tuple[int, int]]]], list[_Answer]],
     many: bool,
 ) -> Iterator[tuple[_Stretch, list[_Answer]]]:
-    """Convert stretches in their order, many of them in processes of their own."""
+    """Convert stretches in their order; if there are many messages, in parallel processes."""
     processors = os.cpu_count() or 1
     if not many or processors == 1:
         for stretch in stretches:
             yield stretch, convert(stretch.inputs)
         return
     context = multiprocessing.get_context('spawn')
-    # Garbage collection would take a tenth of their time.
-    prepare = gc.disable
     try:
-        with ProcessPoolExecutor(processors, context, prepare) as pool:
+        # Garbage collection would take a tenth of the time.
+        with ProcessPoolExecutor(processors, context, initializer=gc.disable) as pool:
             _start(pool, processors)
             waiting: deque[tuple[_Stretch, Future[list[_Answer]]]] = deque()
             for stretch in stretches:
                 waiting.append((stretch, pool.submit(convert, stretch.inputs)))
-                if len(waiting) > _STRETCHES_AHEAD:
+                if len(waiting) > MAX_WAITING_STRETCHES:
                     done, future = waiting.popleft()
                     yield done, future.result()
             for done, future in waiting:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of a bag: which of them is converted, and what a bag says of each."""
+"""The topics of a bag: which of them is converted, and how topics are added to a bag."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Collection
 from collections.abc import Iterable
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from importlib import resources
 from typing import Any
 
 from rosbags.interfaces import Connection
@@ -24,7 +24,6 @@ from rosbags.typesys import get_types_from_idl
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys import get_typestore
 
-import obbhbb_ros
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 from obbhbb_ros.wire.layouts import InputType
 
@@ -36,12 +35,12 @@ _MADE = tuple(f'/{name}' for name in (*OUTPUTS, 'crop_sources', 'chip/detections
 CAMERA_INFO_TYPE = 'sensor_msgs/msg/CameraInfo'
 # The version of bags that Jazzy writes.
 VERSION = 9
-# As ROS writes the hash of a type that nothing is known of.
+# The hash that ROS writes for an unknown type.
 NO_HASH = 'RIHS00_' + 64 * '0'
 
-_INPUT_TYPES = {f'{each.package}/msg/{each.name}': each for each in INPUT_TYPES.values()}
+_INPUT_TYPES = {f'{known.package}/msg/{known.name}': known for known in INPUT_TYPES.values()}
 _FOREVER = QosTime(9223372036, 854775807)
-# As rosbag2 writes what the node offers.
+# The QoS that the node offers, as rosbag2 writes it.
 _QOS = Qos(
     QosHistory.UNKNOWN,
     0,
@@ -58,7 +57,7 @@ _QOS = Qos(
 @dataclass(frozen=True)
 class Topics:
     """
-    What is read of a bag, and where the answers go.
+    The topics that a replay reads and writes.
 
     Attributes
     ----------
@@ -85,9 +84,9 @@ def choose(connections: Collection[Connection], topic: str = '', camera_info: st
     Parameters
     ----------
     connections : collection of Connection
-        What the bag holds.
+        The topics of the bag.
     topic : str
-        The topic, if it is given; else there must be only one that can be converted.
+        The topic to convert; by default the only one that can be converted.
     camera_info : str
         The topic of `sensor_msgs/CameraInfo`; `camera_info` beside the input by default.
 
@@ -99,12 +98,12 @@ def choose(connections: Collection[Connection], topic: str = '', camera_info: st
     Raises
     ------
     ValueError
-        If there is no such topic, or more than one; the message lists what there is.
+        If there is no such topic, or more than one; the message lists the candidates.
     """
     possible = {
-        each.topic: _INPUT_TYPES[each.msgtype]
-        for each in connections
-        if each.msgtype in _INPUT_TYPES
+        connection.topic: _INPUT_TYPES[connection.msgtype]
+        for connection in connections
+        if connection.msgtype in _INPUT_TYPES
     }
     if topic:
         topic = _absolute(topic)
@@ -133,12 +132,12 @@ def _absolute(topic: str) -> str:
 
 
 def _choice(connections: Collection[Connection], topic: str, candidates: Sequence[str]) -> str:
-    """Say why the input is not clear."""
+    """Explain why no topic could be chosen."""
     if candidates:
         return f'more than one topic can be converted, choose one by --topic: {_listed(candidates)}'
-    found = [f'{each.topic} ({each.msgtype})' for each in connections]
+    topics = [f'{connection.topic} ({connection.msgtype})' for connection in connections]
     subject = f'{topic} is no topic' if topic else 'no topic'
-    return f'{subject} that can be converted; the bag has {_listed(found) or "no topics"}'
+    return f'{subject} that can be converted; the bag has {_listed(topics) or "no topics"}'
 
 
 def _listed(names: Collection[str]) -> str:
@@ -147,8 +146,8 @@ def _listed(names: Collection[str]) -> str:
 
 
 def _check_camera_info(connections: Collection[Connection], topic: str) -> None:
-    """Check that a topic that was asked for is there."""
-    infos = [each.topic for each in connections if each.msgtype == CAMERA_INFO_TYPE]
+    """Raise ValueError if the bag lacks the topic that the caller named."""
+    infos = [known.topic for known in connections if known.msgtype == CAMERA_INFO_TYPE]
     if topic and _absolute(topic) not in infos:
         raise ValueError(
             f'{_absolute(topic)} is no topic of {CAMERA_INFO_TYPE}; the bag has '
@@ -170,31 +169,32 @@ def add_topic(writer: Writer, connection: Connection) -> Connection:
 
 
 def add_topics(writer: Writer, connections: Iterable[Connection]) -> dict[int, Connection]:
-    """Add topics as they were in another bag, by their number there; equal ones become one."""
+    """Add topics as they were in another bag, by their id there; equal ones are merged."""
     added: dict[int, Connection] = {}
-    for each in connections:
-        what = each.topic, each.msgtype, each.ext
-        same = (done for done in writer.connections if (done.topic, done.msgtype, done.ext) == what)
-        added[each.id] = next(same, None) or add_topic(writer, each)
+    for source in connections:
+        key = source.topic, source.msgtype, source.ext
+        equal = (done for done in writer.connections if (done.topic, done.msgtype, done.ext) == key)
+        added[source.id] = next(equal, None) or add_topic(writer, source)
     return added
 
 
 def add_output(writer: Writer, topic: str, connections: Collection[Connection]) -> Connection:
-    """Add a topic of boxes; a definition of their type that the bag has already is kept."""
-    known = [each for each in connections if each.msgtype == OUTPUT_TYPE and each.msgdef.data]
-    if not known:
+    """Add a topic of boxes, with the definition of their type that the bag has, if any."""
+    of_boxes = (known for known in connections if known.msgtype == OUTPUT_TYPE)
+    first = next((known for known in of_boxes if known.msgdef.data), None)
+    if first is None:
         return add_live_topic(writer, topic, OUTPUT_TYPE)
-    definition, digest = _definition(known[0])
+    definition, digest = _definition(first)
     return writer.add_connection(
         topic, OUTPUT_TYPE, msgdef=definition, rihs01=digest, offered_qos_profiles=[_QOS]
     )
 
 
 def add_live_topic(writer: Writer, topic: str, msgtype: str) -> Connection:
-    """Add a topic as if it had been recorded from a node; messages of Jazzy, and of boxes."""
+    """Add a topic as if recorded from a node; its type is one of Jazzy or that of the boxes."""
     definition, digest = None, None
     if msgtype == OUTPUT_TYPE:
-        folder = Path(obbhbb_ros.__file__).parent / 'data'
+        folder = resources.files('obbhbb_ros.data')
         definition = (folder / 'Detection2DArray.msg').read_text(encoding='utf-8')
         digest = OUTPUT_HASH
     return writer.add_connection(
@@ -208,7 +208,7 @@ def add_live_topic(writer: Writer, topic: str, msgtype: str) -> Connection:
 
 
 def _definition(connection: Connection) -> tuple[str, str]:
-    """Return text and hash of a message type, as far as anything says them."""
+    """Return text and hash of a message type, as far as they can be found."""
     text: str = connection.msgdef.data
     if text and connection.digest:
         return text, connection.digest
@@ -218,10 +218,10 @@ def _definition(connection: Connection) -> tuple[str, str]:
         if text:
             store.register(_parsed(connection))
         else:
-            # Bags of Humble and before have no definitions.
+            # Bags of Humble and older have no definitions.
             text, _ = store.generate_msgdef(msgtype, ros_version=2)
         return text, connection.digest or store.hash_rihs01(msgtype)
-    # Whatever a bag calls a definition; its messages are copied all the same.
+    # Any exception: the definition may be anything, and the messages are copied regardless.
     except Exception:
         return text, connection.digest or NO_HASH
 

@@ -61,7 +61,7 @@ def run_bag(options: Namespace) -> int:
         tally = replay.add_boxes(
             options.source,
             options.target,
-            replay.Options(
+            replay.ReplayOptions(
                 topic=options.topic,
                 camera_info=options.camera_info,
                 params_file=options.params_file,

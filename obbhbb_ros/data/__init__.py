@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The data files that the package carries."""
+"""The data files of the package."""
 
 # Label file of the synthetic harbour that `obbhbb_ros.study.harbour` draws.
 HARBOUR = 'harbour.csv'

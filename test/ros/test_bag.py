@@ -27,7 +27,7 @@ from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.bags.replay import Options
+from obbhbb_ros.bags.replay import ReplayOptions
 from obbhbb_ros.bags.replay import add_boxes
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.nodes.managed import message_type
@@ -107,7 +107,7 @@ class Conversation:
         params.write_text('\n'.join(['/**:', '  ros__parameters:', *lines]))
         for storage in ('mcap', 'sqlite3'):
             source = record(folder / f'{storage}_in', topics, self.sent, storage)
-            add_boxes(source, folder / storage, Options(params_file=params))
+            add_boxes(source, folder / storage, ReplayOptions(params_file=params))
             made = messages_of(folder / storage)
             # Those without regions came first.
             for name, answers in (('boxes', self.boxes), ('crop_regions', self.regions)):

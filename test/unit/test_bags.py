@@ -213,8 +213,8 @@ def test_processes_of_their_own_give_the_same_bag(
     bag: Path, tmp_path: Path, run: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replay, 'FEW_MESSAGES', 0)
-    monkeypatch.setattr(replay, '_STRETCH_BYTES', 5000)
-    monkeypatch.setattr(replay, '_STRETCHES_AHEAD', 2)
+    monkeypatch.setattr(replay, 'STRETCH_BYTES', 5000)
+    monkeypatch.setattr(replay, 'MAX_WAITING_STRETCHES', 2)
     monkeypatch.setattr(replay.os, 'cpu_count', lambda: 2)
     assert run()[0] == 0
     assert answers(tmp_path / 'out') == expected(messages_of(bag))
@@ -485,7 +485,7 @@ def test_an_end_on_the_way_leaves_nothing(
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        replay.add_boxes(bag, tmp_path / 'new' / 'out', replay.Options(), progress=stop)
+        replay.add_boxes(bag, tmp_path / 'new' / 'out', replay.ReplayOptions(), progress=stop)
     assert not list((tmp_path / 'new').iterdir())
 
 
@@ -678,7 +678,7 @@ def test_a_process_that_ends_is_an_error(
 ) -> None:
     monkeypatch.setattr(replay, 'FEW_MESSAGES', 0)
     monkeypatch.setattr(replay.os, 'cpu_count', lambda: 2)
-    monkeypatch.setattr(replay, '_answers', fail)
+    monkeypatch.setattr(replay, 'answers_to', fail)
     code, _, err = run()
     assert code == 1
     assert 'a process that converts messages has ended' in err
