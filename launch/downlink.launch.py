@@ -74,10 +74,7 @@ def _nodes(value: Callable[[str], str]) -> list[Any]:
     if unknown := sorted({*chosen} - {*NODES}):
         raise ValueError(f'nodes: {", ".join(unknown)} is none of {", ".join(NODES)}')
     files = {name: _files(value, name) for name in chosen}
-    return [
-        *unread(value('namespace'), files),
-        *(_node(value, name) for name in chosen),
-    ]
+    return [*unread(value('namespace'), files), *(_node(value, name) for name in chosen)]
 
 
 def _node(value: Callable[[str], str], name: str) -> Any:

@@ -101,11 +101,7 @@ def nodes(make: Any) -> Any:
 
 
 def node(
-    value: Any,
-    executable: str,
-    name: str,
-    parameters: Sequence[Any],
-    topics: Sequence[str],
+    value: Any, executable: str, name: str, parameters: Sequence[Any], topics: Sequence[str]
 ) -> Any:
     """
     Describe a node under the common arguments.

@@ -19,6 +19,7 @@ from obbhbb_ros.files import write_text
 from obbhbb_ros.geometry.converter import PAPER_RULE
 from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.labels import FORMATS
+from obbhbb_ros.limits import Choices
 from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
 from obbhbb_ros.settings.downlink import DOWNLINK
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
@@ -80,7 +81,7 @@ def parameters_table(table: Sequence[Parameter]) -> str:
             f'`{spec.name}`',
             spec.type_name,
             f'`{yaml_value(spec.default)}`',
-            spec.range_text,
+            _limits(spec),
             spec.meaning + (' Only at start.' if spec.read_only else ''),
         )
         for spec in table
@@ -172,12 +173,16 @@ def documents(root: Path) -> dict[Path, str]:
     }
 
 
+def _limits(spec: Parameter) -> str:
+    """Write the values that a parameter takes for a cell of a table."""
+    if isinstance(spec.limits, Choices):
+        return ', '.join(f'`{word}`' if word else '`""`' for word in spec.limits.words)
+    return str(spec.limits or '')
+
+
 def _note(spec: Parameter) -> str:
     """Write meaning and range of a parameter."""
-    note = spec.meaning
-    if spec.range_text:
-        note += f' [{spec.range_text.replace("`", "")}]'
-    return note
+    return f'{spec.meaning} [{spec.limits}]' if spec.limits else spec.meaning
 
 
 def _comment(text: str, indent: str) -> list[str]:

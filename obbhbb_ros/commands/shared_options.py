@@ -18,8 +18,8 @@ from obbhbb_ros.study.ships import read_ships
 
 PARAMETERS = {
     'q': 'shape exponent, 1 to inf',
-    'f': f'fullness, above 0, up to {converter.F_RANGE[1]:g}',
-    's': f'shrink factor, above 0, up to {converter.S_RANGE[1]:g}',
+    'f': f'fullness, above 0, up to {converter.F_RANGE.high:g}',
+    's': f'shrink factor, above 0, up to {converter.S_RANGE.high:g}',
 }
 
 

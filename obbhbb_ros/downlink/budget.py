@@ -11,44 +11,36 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import replace
 
-from obbhbb_ros.downlink import require_not_negative
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import Dropped
 from obbhbb_ros.downlink.chips import EncodedChip
 from obbhbb_ros.downlink.chips import encode
+from obbhbb_ros.limits import MAX_BYTES
+from obbhbb_ros.limits import MAX_INT
+from obbhbb_ros.limits import Range
+from obbhbb_ros.limits import check_settings
+from obbhbb_ros.limits import setting
 
 
 @dataclass(frozen=True)
-class BudgetSettings:
-    """
-    Limits of the link and of each frame; a negative or infinite value raises ValueError.
+class LinkSettings:
+    """What a link carries; ValueError if a value is out of range."""
 
-    Attributes
-    ----------
-    bytes_per_second : float
-        Data rate of the link (0: unlimited).
-    burst : float
-        Maximum bytes sent at once after a pause (0: what the link carries in a second).
-    overhead : int
-        Bytes added to each chip by the protocol.
-    max_chips : int
-        Maximum chips per frame (0: unlimited).
-    max_bytes : int
-        Maximum bytes per frame (0: unlimited).
-    min_quality : int
-        A chip that does not fit is encoded again, down to this quality (0: dropped at once).
-    """
-
-    bytes_per_second: float = 0.0
-    burst: float = 0.0
-    overhead: int = 0
-    max_chips: int = 0
-    max_bytes: int = 0
-    min_quality: int = 0
+    bytes_per_second: float = setting(
+        0.0, 'Rate of the link, bytes per second. 0: unlimited.', Range(0.0, MAX_BYTES)
+    )
+    burst: float = setting(
+        0.0,
+        'Maximum bytes sent at once after a pause. 0: what the link carries in one second.',
+        Range(0.0, MAX_BYTES),
+    )
+    overhead: int = setting(
+        0, 'Bytes that the protocol adds to the file of each chip.', Range(0, 1_000_000)
+    )
 
     def __post_init__(self) -> None:
         """Check every value."""
-        require_not_negative(**vars(self))
+        check_settings(self)
 
     @property
     def bucket_size(self) -> float:
@@ -58,31 +50,44 @@ class BudgetSettings:
         return self.burst or self.bytes_per_second
 
 
+@dataclass(frozen=True)
+class BudgetSettings(LinkSettings):
+    """Limits of the link and of each frame; ValueError if a value is out of range."""
+
+    max_chips: int = setting(0, 'Maximum chips per image. 0: unlimited.', Range(0, 1_000_000))
+    max_bytes: int = setting(0, 'Maximum bytes per image. 0: unlimited.', Range(0, MAX_INT))
+    min_quality: int = setting(
+        0,
+        'If a chip does not fit, encode it with lower quality, down to this. 0: drop it.',
+        Range(0, 100),
+    )
+
+
 class TokenBucket:
     """
     Rate limiter: at most `rate * window + burst` bytes in any time window.
 
     Parameters
     ----------
-    settings : BudgetSettings
+    settings : LinkSettings
         Rate and burst.
     now : float
         Current time, seconds.
 
     Examples
     --------
-    >>> bucket = TokenBucket(BudgetSettings(bytes_per_second=100.0, burst=250.0), now=0.0)
+    >>> bucket = TokenBucket(LinkSettings(bytes_per_second=100.0, burst=250.0), now=0.0)
     >>> bucket.spend(200, now=0.0)
     >>> bucket.available(now=1.0)
     150.0
     """
 
-    def __init__(self, settings: BudgetSettings, now: float) -> None:
+    def __init__(self, settings: LinkSettings, now: float) -> None:
         self._rate = settings.bytes_per_second
         self.burst = self._tokens = settings.bucket_size
         self._filled_at = now
 
-    def change(self, settings: BudgetSettings, now: float) -> None:
+    def change(self, settings: LinkSettings, now: float) -> None:
         """Change rate and burst; unspent bytes are kept up to the new burst."""
         was_unlimited = not self._rate
         self._fill(now)

@@ -18,6 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from obbhbb_ros.errors import ObbhbbError
+from obbhbb_ros.limits import Choices
+from obbhbb_ros.limits import Range
+from obbhbb_ros.limits import check_settings
+from obbhbb_ros.limits import setting
 from obbhbb_ros.wire.image import WireImage
 
 Region = tuple[int, int, int, int]
@@ -108,16 +112,7 @@ CODECS: dict[str, Codec] = {
 @dataclass(frozen=True)
 class CodecSettings:
     """
-    How chips are encoded; values out of range or in conflict raise ValueError.
-
-    Attributes
-    ----------
-    codec : str
-        One of `CODECS`.
-    quality : int
-        1 to 100, for lossy encoding. For JPEG 2000, percent of the size of the raw pixels.
-    lossless : bool
-        Whether encoding must be lossless; PNG always is.
+    How chips are encoded; ValueError if values are out of range or in conflict.
 
     Examples
     --------
@@ -125,16 +120,20 @@ class CodecSettings:
     (True, False)
     """
 
-    codec: str = 'jpeg'
-    quality: int = 85
-    lossless: bool = False
+    codec: str = setting('jpeg', 'File format of the chips.', Choices(tuple(CODECS)))
+    quality: int = setting(
+        85,
+        'Quality of jpeg and webp; for jpeg2000: target file size, as a percentage of the raw '
+        'pixels.',
+        Range(1, 100),
+    )
+    lossless: bool = setting(
+        False, 'Encode webp and jpeg2000 without loss. png is always lossless, jpeg never.'
+    )
 
     def __post_init__(self) -> None:
-        """Check the values."""
-        if self.codec not in CODECS:
-            raise ValueError(f'codec must be one of {", ".join(CODECS)}, not {self.codec!r}')
-        if not 1 <= self.quality <= 100:
-            raise ValueError(f'quality must be 1 to 100, not {self.quality}')
+        """Check every value and their combination."""
+        check_settings(self)
         if self.lossless and not CODECS[self.codec].lossless:
             raise ValueError(f'lossless: {self.codec} cannot be; use png, webp or jpeg2000')
 

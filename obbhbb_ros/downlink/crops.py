@@ -18,13 +18,18 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.downlink import require_not_negative
 from obbhbb_ros.downlink.merging import MergeRules
 from obbhbb_ros.downlink.merging import Pixels
 from obbhbb_ros.downlink.merging import merge_regions
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.limits import MAX_INT
+from obbhbb_ros.limits import Range
+from obbhbb_ros.limits import check_settings
+from obbhbb_ros.limits import setting
+from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 
 _FARTHEST = 2.0**52
+_PIXELS = Range(0, IMAGE_SIZE_LIMIT)
 
 
 class LeftOut(str, Enum):
@@ -41,56 +46,65 @@ class LeftOut(str, Enum):
 @dataclass(frozen=True)
 class CropSettings:
     """
-    How boxes become regions; values out of range or in conflict raise ValueError.
+    How boxes become regions; ValueError if values are out of range or in conflict.
 
-    Attributes
-    ----------
-    min_score : float
-        Minimum score of a box with a region (0: any).
-    padding : float
-        Margin on each side, as a fraction of the box's extent along that axis.
-    padding_px : float
-        Additional margin on each side, pixels.
-    min_size : int
-        Minimum side of a region, pixels (0: none). Smaller regions are grown about their centre,
-        at most to the size of the image.
-    max_size : int
-        Maximum side of a region, pixels (0: unlimited). Larger regions are cut about their
-        centre.
-    multiple_of : int
-        Sides are multiples of this, pixels, the block size of a codec (0 or 1: any size). They
-        are rounded up, or down to `max_size`. If the rounded side exceeds the image, the region
-        takes the whole side of the image; only then a side is not a multiple.
-    merge_max_size : int
-        Two regions are merged if the region around both has fewer pixels than the two together,
-        and its sides do not exceed this or `max_size` (0: no merging).
-    max_count : int
-        Maximum regions per frame (0: unlimited).
-    max_pixels : int
-        Maximum pixels of all regions of a frame together (0: unlimited). A region that exceeds
-        the remaining pixels is left out; less valuable ones that fit are kept.
+    Regions below `min_size` grow about their centre, at most to the size of the image; regions
+    above `max_size` are cut about their centre. Sides are rounded up to `multiple_of`, or down to
+    `max_size`; a side that would exceed the image becomes as long as the image. Two regions are
+    merged if the region around both has fewer pixels than the two together. A region that exceeds
+    the remaining `max_pixels` is left out; less valuable ones that fit are kept.
 
     Examples
     --------
     >>> CropSettings(padding=-0.1)
     Traceback (most recent call last):
         ...
-    ValueError: padding must be finite and not negative, not -0.1
+    ValueError: padding must be 0 to 100, not -0.1
     """
 
-    min_score: float = 0.0
-    padding: float = 0.0
-    padding_px: float = 0.0
-    min_size: int = 0
-    max_size: int = 0
-    multiple_of: int = 0
-    merge_max_size: int = 0
-    max_count: int = 0
-    max_pixels: int = 0
+    min_score: float = setting(
+        0.0, 'Minimum score of a detection for a crop region. 0: any score.', Range(0.0, 1e6)
+    )
+    padding: float = setting(
+        0.0,
+        'Margin on each side of a crop region, as a fraction of the box along that axis.',
+        Range(0.0, 100.0),
+    )
+    padding_px: float = setting(
+        0.0,
+        'Margin on each side of a crop region, pixels, in addition to padding.',
+        Range(0.0, IMAGE_SIZE_LIMIT),
+    )
+    min_size: int = setting(
+        0, 'Minimum side of a crop region, pixels. Smaller regions grow. 0: no minimum.', _PIXELS
+    )
+    max_size: int = setting(
+        0, 'Maximum side of a crop region, pixels. Larger regions are cut. 0: unlimited.', _PIXELS
+    )
+    multiple_of: int = setting(
+        0,
+        'Make the sides of crop regions multiples of this, pixels, for example the block size of '
+        'the codec. Sides as long as the image are exempt. 0: any size.',
+        _PIXELS,
+    )
+    merge_max_size: int = setting(
+        0,
+        'Merge crop regions where that saves pixels, up to this side, pixels. 0: never merge.',
+        _PIXELS,
+    )
+    max_count: int = setting(
+        0, 'Maximum crop regions per message; the most valuable are kept. 0: unlimited.', _PIXELS
+    )
+    max_pixels: int = setting(
+        0,
+        'Maximum total pixels of the crop regions of a message; the most valuable are kept. '
+        '0: unlimited.',
+        Range(0, MAX_INT),
+    )
 
     def __post_init__(self) -> None:
         """Check every value and their combination."""
-        require_not_negative(**vars(self))
+        check_settings(self)
         if 0 < self.max_size < self.min_size:
             raise ValueError(
                 f'max_size ({self.max_size}) must not be smaller than min_size ({self.min_size})'

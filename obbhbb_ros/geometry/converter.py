@@ -17,56 +17,53 @@ from obbhbb_ros.geometry.boxes import blocks
 from obbhbb_ros.geometry.boxes import longer_first
 from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.geometry.methods import get_method
+from obbhbb_ros.limits import Range
+from obbhbb_ros.limits import check_settings
+from obbhbb_ros.limits import setting
 
-Q_RANGE = (1.0, math.inf)
-# The lower ends are excluded.
-F_RANGE = S_RANGE = (0.0, 2.0)
+Q_RANGE = Range(1.0, math.inf)
+F_RANGE = S_RANGE = Range(0.0, 2.0, above=True)
 
 
 @dataclass(frozen=True)
 class HullRule:
     """
-    A conversion rule with its shape parameters; a value out of range raises ValueError.
+    A conversion rule with its shape parameters; ValueError if a value is out of range.
 
     Attributes
     ----------
     method : str
         A key of `obbhbb_ros.geometry.methods.METHODS`.
-    q : float
-        Shape exponent in [1, inf].
-    f : float
-        Fullness in (0, 2]: scales the half-width.
-    s : float
-        Shrink factor in (0, 2]: scales the half-extents, with a known bow on each side of the
-        oriented box's centre.
+    q, f, s : float
+        Shape exponent, fullness and shrink factor. With a known bow, f and s scale the hull on each
+        side of the oriented box's centre.
     q_bow, q_stern : float or None
-        Shape exponents in [1, inf] of the two ends of a hull whose bow is known; None: q. Only
-        `superellipse` uses them; the other methods ignore the bow.
+        Shape exponents of the two ends of a hull whose bow is known; None: q. Only `superellipse`
+        uses them; the other methods ignore the bow.
 
     Examples
     --------
     >>> HullRule('superellipse', q=0.5)
     Traceback (most recent call last):
         ...
-    ValueError: q must be in [1, inf], not 0.5
+    ValueError: q must be 1 to inf, not 0.5
     """
 
     method: str = 'superellipse'
-    q: float = 3.0
-    f: float = 1.0
-    s: float = 1.0
-    q_bow: float | None = None
-    q_stern: float | None = None
+    q: float = setting(
+        3.0,
+        'Shape exponent of the hull: 1 is a rhombus, 2 an ellipse, inf a rectangle.',
+        Q_RANGE,
+    )
+    f: float = setting(1.0, 'Fullness: factor on the half-width of the hull.', F_RANGE)
+    s: float = setting(1.0, 'Shrink factor on the half-extents of the box.', S_RANGE)
+    q_bow: float | None = setting(None, 'Shape exponent of the bow end of the hull.', Q_RANGE)
+    q_stern: float | None = setting(None, 'Shape exponent of the stern end of the hull.', Q_RANGE)
 
     def __post_init__(self) -> None:
         """Check every value."""
         get_method(self.method)
-        for name, q in (('q', self.q), ('q_bow', self.q_bow), ('q_stern', self.q_stern)):
-            if q is not None and not Q_RANGE[0] <= q <= Q_RANGE[1]:
-                raise ValueError(f'{name} must be in [{Q_RANGE[0]:g}, {Q_RANGE[1]:g}], not {q}')
-        for name, value, (low, high) in (('f', self.f, F_RANGE), ('s', self.s, S_RANGE)):
-            if not low < value <= high:
-                raise ValueError(f'{name} must be in ({low:g}, {high:g}], not {value}')
+        check_settings(self)
 
     @property
     def ends(self) -> tuple[float, float]:

@@ -17,6 +17,8 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
+from obbhbb_ros.limits import Choices
+from obbhbb_ros.limits import Range
 from obbhbb_ros.settings.common import LOCK
 from obbhbb_ros.settings.parameter_file import Values
 from obbhbb_ros.settings.parameters import Parameter
@@ -26,21 +28,22 @@ from obbhbb_ros.settings.parameters import SettingsT
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Describe a parameter to ROS tools."""
-    meaning = parameter.meaning
-    if parameter.choices:
-        meaning += ' One of: ' + ', '.join(map(repr, parameter.choices)) + '.'
+    limits = parameter.limits
+    text = parameter.meaning
+    if isinstance(limits, Choices):
+        text += f' One of: {", ".join(map(repr, limits.words))}.'
     described = ParameterDescriptor(
-        name=parameter.name, description=meaning, read_only=parameter.read_only
+        name=parameter.name, description=text, read_only=parameter.read_only
     )
-    low, high = parameter.low, parameter.high
-    if low is not None and high is not None:
-        if isinstance(parameter.default, float):
-            # An integer would end up as garbage in the message.
-            bounds = FloatingPointRange(from_value=float(low), to_value=float(high))
-            described.floating_point_range.append(bounds)
-        else:
-            limits = IntegerRange(from_value=int(low), to_value=int(high))
-            described.integer_range.append(limits)
+    if isinstance(limits, Range) and isinstance(parameter.default, float):
+        # An integer would become garbage in the message.
+        described.floating_point_range.append(
+            FloatingPointRange(from_value=float(limits.low), to_value=float(limits.high))
+        )
+    elif isinstance(limits, Range):
+        described.integer_range.append(
+            IntegerRange(from_value=int(limits.low), to_value=int(limits.high))
+        )
     return described
 
 

@@ -23,6 +23,9 @@ from obbhbb_ros.downlink.chips import PIXEL_FORMATS
 from obbhbb_ros.downlink.chips import ChipError
 from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.limits import Range
+from obbhbb_ros.limits import check_settings
+from obbhbb_ros.limits import setting
 from obbhbb_ros.wire.image import WireImage
 
 # Of the picture's mean side: what is legible when the whole of it is on a screen.
@@ -58,33 +61,27 @@ class OverlayError(ValueError):
 
 @dataclass(frozen=True)
 class Style:
-    """
-    How a picture is drawn; values out of range raise ValueError.
+    """How a picture is drawn; ValueError if a value is out of range."""
 
-    Attributes
-    ----------
-    scale : float
-        Size of the picture relative to the image, above 0 to 1.
-    quality : int
-        Of the JPEG, 1 to 100.
-    line_width, text_size : int
-        Pixels of the picture; 0 for what suits its size.
-    labels : bool
-        Whether class and score are written.
-    """
-
-    scale: float = 1.0
-    quality: int = 80
-    line_width: int = 0
-    text_size: int = 0
-    labels: bool = True
+    scale: float = setting(
+        1.0,
+        'Size of the picture relative to the image; a small one suits a slow link.',
+        Range(0.01, 1.0),
+    )
+    quality: int = setting(80, 'JPEG quality of the picture.', Range(1, 100))
+    line_width: int = setting(
+        0, 'Line width, pixels of the picture. 0: suited to its size.', Range(0, 1000)
+    )
+    text_size: int = setting(
+        0, 'Text size, pixels of the picture. 0: suited to its size.', Range(0, 500)
+    )
+    labels: bool = setting(
+        True, 'Write class and score beside the detections, best score first, where there is room.'
+    )
 
     def __post_init__(self) -> None:
-        """Check the values."""
-        if not 0.0 < self.scale <= 1.0:
-            raise ValueError(f'scale must be above 0 and at most 1, not {self.scale}')
-        if not 1 <= self.quality <= 100:
-            raise ValueError(f'quality must be 1 to 100, not {self.quality}')
+        """Check every value."""
+        check_settings(self)
 
     def line_width_for(self, size: tuple[int, int]) -> int:
         """Return the line width of a picture of `size`, pixels."""

@@ -7,11 +7,11 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from obbhbb_ros.settings.parameters import MAX_BYTES
+from obbhbb_ros.limits import Range
 from obbhbb_ros.settings.parameters import Parameter
 
-# What the middleware keeps through a stall, 1.6 s of images at 10 Hz, and then hands over at once,
-# images and plans in any order: the cache holds as much.
+# During a stall the middleware keeps this much, 1.6 s of images at 10 Hz, and then delivers it at
+# once, images and plans in any order: the caches hold as much.
 IMAGES_KEPT = 16
 PLANS_KEPT = 100
 
@@ -24,69 +24,42 @@ AUTOSTART = Parameter(
 LOCK = Parameter(
     'lock_parameters',
     False,
-    'Refuse every parameter change after start. Anyone on the DDS domain can make one.',
+    'Refuse all parameter changes after start. If false, anyone on the DDS domain can change them.',
     read_only=True,
 )
-INPUT_TIMEOUT = Parameter(
-    'input_timeout',
-    0.0,
-    'Seconds without input after which the diagnostics report ERROR, and after three times as long '
-    'STALE (0: never).',
-    0.0,
-    1e6,
-)
 HARDWARE_ID = Parameter(
-    'hardware_id',
-    '',
-    "hardware_id in the diagnostics (empty: the node's full name).",
+    'hardware_id', '', "hardware_id in the diagnostics. Empty: the node's full name."
 )
 STATE_PATH = Parameter(
     'state.path',
     '',
-    'File that tells the next run how this one ended, and its counters, as an absolute path; each '
-    'node needs one of its own (empty: none).',
+    'Absolute path of a file in which the node records its counters and how it ended, for the next '
+    'run to report. One file per node. Empty: off.',
     read_only=True,
 )
 WATCHDOG = Parameter(
     'watchdog_timeout',
     0.0,
-    'Seconds without a turn of the executor, 2 or more, after which the process ends with exit '
-    'code 70, to be started again (0: never).',
-    0.0,
-    1e6,
+    'If the executor is blocked for this many seconds (at least 2), the process exits with code 70 '
+    'so that launch restarts it. 0: off.',
+    Range(0.0, 1e6),
     read_only=True,
+)
+INPUT_TIMEOUT = Parameter(
+    'input_timeout',
+    0.0,
+    'Without input for this many seconds the diagnostics report ERROR, and after three times as '
+    'long STALE. 0: off.',
+    Range(0.0, 1e6),
 )
 COMMON = (AUTOSTART, LOCK, HARDWARE_ID, STATE_PATH, WATCHDOG)
 """Parameters of every managed node."""
-
-LINK = (
-    Parameter(
-        'budget.bytes_per_second',
-        0.0,
-        'Rate of the link, bytes per second (0: unlimited).',
-        0.0,
-        MAX_BYTES,
-    ),
-    Parameter(
-        'budget.burst',
-        0.0,
-        'Maximum bytes sent at once after a pause (0: one second at the rate of the link).',
-        0.0,
-        MAX_BYTES,
-    ),
-    Parameter(
-        'budget.overhead',
-        0,
-        'Bytes that each chip costs the link besides its file.',
-        0,
-        1_000_000,
-    ),
-)
-"""Parameters of the link, in every node that sends something over it."""
+COMMON_WITH_INPUT = (*COMMON, INPUT_TIMEOUT)
+"""Parameters of every managed node that has an input."""
 
 
 def folder_of(values: Mapping[str, Any], name: str) -> str:
-    """Return the folder that a parameter names; empty if it names none."""
+    """Return the folder that a parameter names, absolute; empty if it names none."""
     path = os.path.expanduser(values[name].strip())
     if path and not os.path.isabs(path):
         raise ValueError(f'{name} must be an absolute path, not {path}')

@@ -9,45 +9,49 @@ from typing import Any
 
 from obbhbb_ros.geometry.input_frame import FITS
 from obbhbb_ros.geometry.input_frame import InputFrame
+from obbhbb_ros.limits import Choices
+from obbhbb_ros.limits import Range
 from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
+TOPICS = '; '.join(
+    f'`{topic}` for {" and ".join(kind.name for kind in INPUT_TYPES.values() if kind.topic == topic)}'
+    for topic in dict.fromkeys(kind.topic for kind in INPUT_TYPES.values())
+)
+"""The topics of the types of messages with detections."""
+
 INPUT_TYPE = Parameter(
     'input_type',
     next(iter(INPUT_TYPES)),
-    'Message type of the input; the topic is '
-    + ', '.join(f'`{each.topic}` for {each.name}' for each in INPUT_TYPES.values())
-    + '.',
-    choices=tuple(INPUT_TYPES),
+    f'Message type of the input. The topic is {TOPICS}.',
+    Choices(tuple(INPUT_TYPES)),
     read_only=True,
 )
-INPUT_COORDINATES = (
+DETECTION_INPUT = (
+    INPUT_TYPE,
     Parameter(
-        'angle_unit', 'rad', 'Unit of bbox.center.theta in the input.', choices=('rad', 'deg')
+        'angle_unit', 'rad', 'Unit of bbox.center.theta in the input.', Choices(('rad', 'deg'))
     ),
-    Parameter(
-        'input_width',
-        0,
-        "Width of the network's input, pixels, if detections are in its coordinates.",
-        0,
-        IMAGE_SIZE_LIMIT,
-    ),
-    Parameter(
-        'input_height',
-        0,
-        "Height of the network's input, pixels, if detections are in its coordinates.",
-        0,
-        IMAGE_SIZE_LIMIT,
+    *(
+        Parameter(
+            f'input_{side}',
+            0,
+            f"{side.capitalize()} of the network's input, pixels, if the detections are in its "
+            'coordinates.',
+            Range(0, IMAGE_SIZE_LIMIT),
+        )
+        for side in ('width', 'height')
     ),
     Parameter(
         'input_fit',
         'none',
-        'How the image was fitted to the input of the network: not at all, stretched, or '
-        'scaled with equal margins on two sides.',
-        choices=FITS,
+        "How the image was fitted to the network's input: `none`, the detections are in image "
+        'coordinates; `stretch`; or `letterbox`, scaled with equal margins on two sides.',
+        Choices(FITS),
     ),
 )
+"""Type and coordinates of the detections."""
 
 
 def theta_scale(values: Mapping[str, Any]) -> float:
@@ -56,5 +60,5 @@ def theta_scale(values: Mapping[str, Any]) -> float:
 
 
 def input_frame(values: Mapping[str, Any]) -> InputFrame:
-    """Make the coordinates of the input."""
+    """Return the coordinates of the detections."""
     return InputFrame((values['input_width'], values['input_height']), values['input_fit'])

@@ -9,19 +9,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from obbhbb_ros.downlink.budget import BudgetSettings
+from obbhbb_ros.downlink.budget import LinkSettings
+from obbhbb_ros.limits import MAX_BYTES
+from obbhbb_ros.limits import Choices
+from obbhbb_ros.limits import Range
 from obbhbb_ros.settings.common import COMMON
-from obbhbb_ros.settings.common import LINK
 from obbhbb_ros.settings.common import folder_of
-from obbhbb_ros.settings.parameters import MAX_BYTES
 from obbhbb_ros.settings.parameters import Parameter
+from obbhbb_ros.settings.parameters import ParameterGroup
 from obbhbb_ros.settings.parameters import ParameterTable
 from obbhbb_ros.spool.release import ReleaseSettings
+
+_LINK = ParameterGroup(LinkSettings, 'budget.')
 
 
 @dataclass(frozen=True)
 class DownlinkSettings:
-    """Where chips are released from and to, and how."""
+    """Where chips come from, where they go, and how they are released."""
 
     spool_path: str
     outbox_path: str
@@ -45,11 +49,7 @@ def _downlink_settings(values: Mapping[str, Any]) -> DownlinkSettings:
         outbox_path=outbox,
         always_in_contact=values['contact'] == 'always',
         release=ReleaseSettings(
-            budget=BudgetSettings(
-                values['budget.bytes_per_second'],
-                values['budget.burst'],
-                values['budget.overhead'],
-            ),
+            budget=_LINK.build(values),
             levels=tuple(levels),
             removal=values['acknowledge'] == 'removal',
             max_bytes=values['outbox.max_bytes'],
@@ -63,17 +63,17 @@ DOWNLINK = ParameterTable(
         Parameter(
             'contact',
             'always',
-            'When chips are released: always, or while the topic `contact` says so.',
-            choices=('always', 'topic'),
+            'When chips are released: `always`, or while the topic `contact` is true.',
+            Choices(('always', 'topic')),
         ),
         Parameter(
             'acknowledge',
             'release',
-            'When a chip counts as delivered: on its release into the outbox, or on its removal '
-            'from there.',
-            choices=('release', 'removal'),
+            'When a chip counts as delivered: on its `release` into the outbox, or on its '
+            '`removal` from there.',
+            Choices(('release', 'removal')),
         ),
-        *LINK,
+        *_LINK.rows,
         Parameter(
             'spool.path', '', 'Folder in which chip_extractor stores the chips.', read_only=True
         ),
@@ -81,15 +81,14 @@ DOWNLINK = ParameterTable(
         Parameter(
             'outbox.levels',
             [0.0],
-            'Value thresholds of the priority folders: a chip goes into the folder with the number '
-            'of thresholds above its value, 0 for the most valuable.',
+            'Value thresholds of the priority folders. Folder 0 takes chips at or above the '
+            'highest threshold, folder 1 those at or above the next, and so on.',
         ),
         Parameter(
             'outbox.max_bytes',
             1e9,
-            'Maximum bytes in the outbox; when it is full, chips wait in the spool (0: unlimited).',
-            0.0,
-            MAX_BYTES,
+            'Maximum bytes in the outbox; while it is full, chips wait in the spool. 0: unlimited.',
+            Range(0.0, MAX_BYTES),
         ),
     ),
     _downlink_settings,

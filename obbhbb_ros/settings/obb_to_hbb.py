@@ -21,35 +21,35 @@ from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.geometry.methods import ONBOARD_METHODS
-from obbhbb_ros.settings.common import COMMON
-from obbhbb_ros.settings.common import INPUT_TIMEOUT
-from obbhbb_ros.settings.detection_input import INPUT_COORDINATES
-from obbhbb_ros.settings.detection_input import INPUT_TYPE
+from obbhbb_ros.limits import Choices
+from obbhbb_ros.limits import Range
+from obbhbb_ros.settings.common import COMMON_WITH_INPUT
+from obbhbb_ros.settings.detection_input import DETECTION_INPUT
 from obbhbb_ros.settings.detection_input import input_frame
 from obbhbb_ros.settings.detection_input import theta_scale
 from obbhbb_ros.settings.parameters import MAX_CLASSES
-from obbhbb_ros.settings.parameters import MAX_INT
 from obbhbb_ros.settings.parameters import Parameter
+from obbhbb_ros.settings.parameters import ParameterGroup
 from obbhbb_ros.settings.parameters import ParameterTable
-from obbhbb_ros.settings.parameters import group_of
+from obbhbb_ros.settings.parameters import parameter_of
 from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 
 
 @dataclass(frozen=True)
 class ConversionSettings:
     """
-    What one message is converted under.
+    How one message is converted.
 
     Attributes
     ----------
     rules : tuple of HullRule
-        The rules in use; the first is for every class that has none of its own.
+        The rules; the first applies to classes without a rule of their own.
     rule_of_class : mapping of str to int
         Index into `rules` of each class with a rule of its own.
     caps : Caps
         Bounds of the boxes, pixels.
     image_size : tuple of int
-        Width and height as parameters give them, pixels; 0 where they leave it to `camera_info`.
+        Width and height from the parameters, pixels; 0 where `camera_info` decides.
     theta_scale : float
         Factor from the input's angle unit to radians.
     bow : bool
@@ -57,18 +57,19 @@ class ConversionSettings:
     input_frame : InputFrame
         Coordinates of the input.
     clip_boxes : bool
-        Whether boxes end at the border of the image.
+        Whether boxes are clipped to the image.
     keep_invalid : bool
-        Whether detections that cannot be converted are passed on unchanged.
+        Whether detections that cannot be converted are published unchanged.
     crop : CropSettings
         How boxes become crop regions.
     crop_rules : tuple of HullRule or None
-        The hulls that crop regions enclose besides the boxes, in the order of `rules`; empty if
-        there are none.
+        The hulls that crop regions enclose in addition to the boxes, in the order of `rules`; empty
+        if there are none.
     weights, min_scores : ndarray, shape (number of rules,)
-        Factor on the score of a detection, and minimum score for a crop region, by rule.
+        Factor on the score of a detection, and minimum score for a crop region, in the order of
+        `rules`.
     compare_outer : bool
-        Whether the crop plan is compared with that of the outer boxes.
+        Whether to compare the crop plan with that of the outer boxes.
     """
 
     rules: tuple[HullRule, ...]
@@ -87,21 +88,19 @@ class ConversionSettings:
     compare_outer: bool
 
 
-def _settings(values: Mapping[str, Any]) -> ConversionSettings:
+_CROP = ParameterGroup(CropSettings, 'crop.')
+# A class with this value for its crop regions has that of the node.
+_OF_NODE = -1.0
+
+
+def _conversion_settings(values: Mapping[str, Any]) -> ConversionSettings:
     """Make settings for `obb_to_hbb`."""
-    rules = [_rule(values)]
-    crop_qs, weights, min_scores = [values['crop.q']], [1.0], [values['crop.min_score']]
-    rule_of_class = {}
-    for class_id in filter(None, values['class_ids']):
-        rule_of_class[class_id] = len(rules)
-        prefix = f'classes.{class_id}.'
-        rules.append(_rule(values, prefix))
-        crop_qs.append(values[f'{prefix}crop_q'] or values['crop.q'])
-        weights.append(values[f'{prefix}weight'])
-        min_scores.append(values[f'{prefix}min_score'] or values['crop.min_score'])
+    class_ids = list(filter(None, values['class_ids']))
+    prefixes = [f'classes.{class_id}.' for class_id in class_ids]
+    min_scores = [_crop_value(values, prefix, 'min_score') for prefix in prefixes]
     return ConversionSettings(
-        rules=tuple(rules),
-        rule_of_class=rule_of_class,
+        rules=(_rule(values), *(_rule(values, prefix) for prefix in prefixes)),
+        rule_of_class={class_id: number for number, class_id in enumerate(class_ids, 1)},
         caps=_caps(values),
         image_size=(values['image_width'], values['image_height']),
         theta_scale=theta_scale(values),
@@ -109,38 +108,47 @@ def _settings(values: Mapping[str, Any]) -> ConversionSettings:
         input_frame=input_frame(values),
         clip_boxes=values['clip_boxes'],
         keep_invalid=values['invalid_policy'] == 'keep',
-        crop=group_of(CropSettings, values, 'crop.'),
-        crop_rules=_crop_rules(crop_qs),
-        weights=np.array(weights),
-        min_scores=np.array(min_scores),
+        crop=_CROP.build(values),
+        crop_rules=_crop_rules(values, prefixes),
+        weights=np.array([1.0, *(values[f'{prefix}weight'] for prefix in prefixes)]),
+        min_scores=np.array([values['crop.min_score'], *min_scores]),
         compare_outer=values['crop.compare_outer'],
     )
 
 
 def _rule(values: Mapping[str, Any], prefix: str = '') -> HullRule:
-    """Make the rule of the node, or of a class; the node's values apply where it has none."""
-    own = {field.name: values[field.name] for field in fields(HullRule)}
-    if prefix:
-        own = {name: values[prefix + name] or value for name, value in own.items()}
+    """Make the rule of the node, or of a class, which has the node's values where it has none."""
+    names = [field.name for field in fields(HullRule)]
+    arguments = {name: values[prefix + name] or values[name] for name in names}
     for name in ('q_bow', 'q_stern'):
-        own[name] = own[name] or None
+        arguments[name] = arguments[name] or None
     try:
-        return HullRule(**own)
+        return HullRule(**arguments)
     except ValueError as error:
         raise ValueError(f'{prefix}{error}') from None
 
 
-def _crop_rules(qs: Sequence[float]) -> tuple[HullRule | None, ...]:
+def _crop_value(values: Mapping[str, Any], prefix: str, name: str) -> float:
+    """Return the minimum score or shape exponent for the crop regions of a class."""
+    value: float = values[prefix + name]
+    if _OF_NODE < value < 0.0:
+        raise ValueError(f'{prefix}{name} must be -1, or 0 or more, not {value}')
+    return values[f'crop.{name.removeprefix("crop_")}'] if value == _OF_NODE else value
+
+
+def _crop_rules(values: Mapping[str, Any], prefixes: Sequence[str]) -> tuple[HullRule | None, ...]:
     """Make the hulls that crop regions enclose, None where they enclose the box alone."""
-    try:
-        rules = tuple(HullRule(q=q) if q else None for q in qs)
-    except ValueError as error:
-        raise ValueError(f'crop.q or crop_q of a class: {error}, or 0') from None
-    return rules if any(rules) else ()
+    qs = {f'{prefix}crop_q': _crop_value(values, prefix, 'crop_q') for prefix in prefixes}
+    rules = []
+    for name, q in {'crop.q': values['crop.q'], **qs}.items():
+        if 0.0 < q < Q_RANGE.low:
+            raise ValueError(f'{name} must be 0, or {Q_RANGE}, not {q}')
+        rules.append(HullRule(q=q) if q else None)
+    return tuple(rules) if any(rules) else ()
 
 
 def _caps(values: Mapping[str, Any]) -> Caps:
-    """Turn the caps into pixels."""
+    """Return the caps in pixels."""
     metres_per_pixel = values['ground_sample_distance'] or 1.0
     return Caps(
         *(
@@ -150,236 +158,119 @@ def _caps(values: Mapping[str, Any]) -> Caps:
     )
 
 
-OBB_TO_HBB = ParameterTable(
-    (
-        *COMMON,
-        INPUT_TIMEOUT,
-        INPUT_TYPE,
-        Parameter('method', HullRule.method, 'Conversion rule.', choices=ONBOARD_METHODS),
-        Parameter(
-            'q',
-            HullRule.q,
-            'Shape exponent of the hull: 1 is a rhombus, 2 an ellipse, .inf the rectangle.',
-            *Q_RANGE,
-        ),
-        Parameter(
-            'f', HullRule.f, 'Fullness: factor on the half-width of the hull, above 0.', *F_RANGE
-        ),
-        Parameter(
-            's', HullRule.s, 'Shrink factor on the half-extents of the box, above 0.', *S_RANGE
-        ),
-        Parameter(
-            'heading',
-            'none',
-            'theta: the angles of the input point to the bow, full circle, and q_bow and q_stern '
-            'shape the two ends of the hull.',
-            choices=('none', 'theta'),
-        ),
-        Parameter(
-            'q_bow',
-            0.0,
-            'Shape exponent of the end with the bow, 1 or more (0: q). Only with heading.',
-            0.0,
-            Q_RANGE[1],
-        ),
-        Parameter(
-            'q_stern',
-            0.0,
-            'Shape exponent of the other end, 1 or more (0: q). Only with heading.',
-            0.0,
-            Q_RANGE[1],
-        ),
-        Parameter(
-            'max_length',
-            0.0,
-            'Maximum of the longer side of a box, pixels, or metres with ground_sample_distance '
-            '(0: unlimited).',
-            0.0,
-            math.inf,
-        ),
-        Parameter(
-            'max_width',
-            0.0,
-            'Maximum of the shorter side of a box, pixels, or metres with ground_sample_distance '
-            '(0: unlimited).',
-            0.0,
-            math.inf,
-        ),
-        Parameter(
-            'ground_sample_distance',
-            0.0,
-            'Metres per pixel; if above 0, max_length and max_width are in metres.',
-            0.0,
-            1e6,
-        ),
-        Parameter(
-            'class_ids',
-            [''],
-            f'Classes with parameters of their own, under classes.<id>, {MAX_CLASSES} at most; '
-            'empty strings are ignored.',
-        ),
-        Parameter(
-            'image_width',
-            0,
-            'Width of the image, pixels (0: taken from `camera_info`).',
-            0,
-            IMAGE_SIZE_LIMIT,
-        ),
-        Parameter(
-            'image_height',
-            0,
-            'Height of the image, pixels (0: taken from `camera_info`).',
-            0,
-            IMAGE_SIZE_LIMIT,
-        ),
-        *INPUT_COORDINATES,
-        Parameter(
-            'clip_boxes',
-            False,
-            'Clip boxes to the image; those outside cannot be converted, see invalid_policy.',
-        ),
-        Parameter(
-            'invalid_policy',
-            'drop',
-            'Detections that cannot be converted are dropped, or kept unchanged.',
-            choices=('drop', 'keep'),
-        ),
-        Parameter(
-            'crop.q',
-            5.0,
-            'Crop regions also enclose the superellipse of this shape exponent, 1 or more, so that '
-            'the hull is kept (0: the box alone).',
-            0.0,
-            Q_RANGE[1],
-        ),
-        Parameter(
-            'crop.min_score',
-            0.0,
-            'Minimum score of a detection with a crop region (0: any).',
-            0.0,
-            1e6,
-        ),
-        Parameter(
-            'crop.padding',
-            0.0,
-            'Margin on each side of a crop region, as a fraction of the box along that axis.',
-            0.0,
-            100.0,
-        ),
-        Parameter(
-            'crop.padding_px',
-            0.0,
-            'Margin on each side of a crop region, pixels, added to that of crop.padding.',
-            0.0,
-            IMAGE_SIZE_LIMIT,
-        ),
-        Parameter(
-            'crop.min_size',
-            0,
-            'Minimum side of a crop region, pixels; smaller regions grow (0: none).',
-            0,
-            IMAGE_SIZE_LIMIT,
-        ),
-        Parameter(
-            'crop.max_size',
-            0,
-            'Maximum side of a crop region, pixels; larger regions are cut (0: unlimited).',
-            0,
-            IMAGE_SIZE_LIMIT,
-        ),
-        Parameter(
-            'crop.multiple_of',
-            0,
-            'Sides of crop regions are multiples of this, pixels, as the blocks of a codec are; '
-            'except for a side as long as the image (0: any).',
-            0,
-            IMAGE_SIZE_LIMIT,
-        ),
-        Parameter(
-            'crop.merge_max_size',
-            0,
-            'Crop regions are merged where that saves pixels, up to this side, pixels '
-            '(0: never merged).',
-            0,
-            IMAGE_SIZE_LIMIT,
-        ),
-        Parameter(
-            'crop.max_count',
-            0,
-            'Maximum crop regions per message, most valuable first (0: unlimited).',
-            0,
-            IMAGE_SIZE_LIMIT,
-        ),
-        Parameter(
-            'crop.max_pixels',
-            0,
-            'Maximum pixels in the crop regions of a message, most valuable first (0: unlimited).',
-            0,
-            MAX_INT,
-        ),
-        Parameter(
-            'crop.compare_outer',
-            False,
-            'Also plan the crops of the outer boxes, and report in the diagnostics how many '
-            'pixels are saved against them.',
-        ),
+_ROWS = (
+    *COMMON_WITH_INPUT,
+    *DETECTION_INPUT,
+    Parameter('method', HullRule.method, 'Conversion rule.', Choices(ONBOARD_METHODS)),
+    *(parameter_of(HullRule, name) for name in ('q', 'f', 's')),
+    Parameter(
+        'heading',
+        'none',
+        "`theta`: theta is the ship's heading (full circle); q_bow and q_stern apply.",
+        Choices(('none', 'theta')),
     ),
-    _settings,
-    (
+    *(
         Parameter(
-            'classes.<id>.method',
-            '',
-            'Conversion rule for this class (empty: that of the node).',
-            choices=('', *ONBOARD_METHODS),
-        ),
+            f'q_{end}',
+            0.0,
+            f'Shape exponent of the {end} end of the hull, 1 or more. Only with heading. 0: q.',
+            Range(0.0, Q_RANGE.high),
+        )
+        for end in ('bow', 'stern')
+    ),
+    *(
         Parameter(
-            'classes.<id>.q',
+            f'max_{side}',
             0.0,
-            'Shape exponent for this class, 1 or more (0: that of the node).',
-            0.0,
-            Q_RANGE[1],
-        ),
+            f'Maximum {side} of a ship: limits the {longer} side of a box, pixels, or metres with '
+            'ground_sample_distance. 0: unlimited.',
+            Range(0.0, math.inf),
+        )
+        for side, longer in (('length', 'longer'), ('width', 'shorter'))
+    ),
+    Parameter(
+        'ground_sample_distance',
+        0.0,
+        'Metres per pixel. If set, max_length and max_width are in metres. 0: unset.',
+        Range(0.0, 1e6),
+    ),
+    Parameter(
+        'class_ids',
+        [''],
+        f'Classes that have parameters of their own, `classes.<id>.*`, at most {MAX_CLASSES}. '
+        'Empty strings are ignored.',
+    ),
+    *(
         Parameter(
-            'classes.<id>.q_bow',
-            0.0,
-            'q_bow for this class (0: that of the node).',
-            0.0,
-            Q_RANGE[1],
-        ),
-        Parameter(
-            'classes.<id>.q_stern',
-            0.0,
-            'q_stern for this class (0: that of the node).',
-            0.0,
-            Q_RANGE[1],
-        ),
-        Parameter(
-            'classes.<id>.f', 0.0, 'Fullness for this class (0: that of the node).', *F_RANGE
-        ),
-        Parameter(
-            'classes.<id>.s', 0.0, 'Shrink factor for this class (0: that of the node).', *S_RANGE
-        ),
-        Parameter(
-            'classes.<id>.crop_q',
-            0.0,
-            'crop.q for this class (0: that of the node).',
-            0.0,
-            Q_RANGE[1],
-        ),
-        Parameter(
-            'classes.<id>.min_score',
-            0.0,
-            'crop.min_score for this class (0: that of the node).',
-            0.0,
-            1e6,
-        ),
-        Parameter(
-            'classes.<id>.weight',
-            1.0,
-            'Factor on the scores of this class when crop regions are ranked (0: no regions).',
-            0.0,
-            1e6,
-        ),
+            f'image_{side}',
+            0,
+            f'{side.capitalize()} of the image, pixels. 0: from `camera_info`.',
+            Range(0, IMAGE_SIZE_LIMIT),
+        )
+        for side in ('width', 'height')
+    ),
+    Parameter(
+        'clip_boxes',
+        False,
+        'Clip boxes to the image. Boxes outside it cannot be converted: see invalid_policy.',
+    ),
+    Parameter(
+        'invalid_policy',
+        'drop',
+        'What to do with detections that cannot be converted: `drop` them, or `keep` them '
+        'unchanged.',
+        Choices(('drop', 'keep')),
+    ),
+    Parameter(
+        'crop.q',
+        5.0,
+        'Crop regions also enclose the superellipse of this shape exponent, 1 or more, so that '
+        'they contain the hull. 0: the box alone.',
+        Range(0.0, Q_RANGE.high),
+    ),
+    *_CROP.rows,
+    Parameter(
+        'crop.compare_outer',
+        False,
+        'Also plan the crops of the outer boxes, and report in the diagnostics how many pixels are '
+        'saved compared with them.',
     ),
 )
+_CLASS_ROWS = (
+    Parameter(
+        'classes.<id>.method',
+        '',
+        "method of this class. Empty: the node's.",
+        Choices(('', *ONBOARD_METHODS)),
+    ),
+    *(
+        Parameter(
+            f'classes.<id>.{name}', 0.0, f"{name} of this class. 0: the node's.", Range(0.0, high)
+        )
+        for name, high in (
+            *((name, Q_RANGE.high) for name in ('q', 'q_bow', 'q_stern')),
+            ('f', F_RANGE.high),
+            ('s', S_RANGE.high),
+        )
+    ),
+    Parameter(
+        'classes.<id>.crop_q',
+        _OF_NODE,
+        "crop.q of this class. -1: the node's, 0: the box alone.",
+        Range(_OF_NODE, Q_RANGE.high),
+    ),
+    Parameter(
+        'classes.<id>.min_score',
+        _OF_NODE,
+        "crop.min_score of this class. -1: the node's, 0: any score.",
+        Range(_OF_NODE, 1e6),
+    ),
+    Parameter(
+        'classes.<id>.weight',
+        1.0,
+        'Factor on the scores of this class when crop regions are ranked. 0: no crop regions.',
+        Range(0.0, 1e6),
+    ),
+)
+OBB_TO_HBB = ParameterTable(_ROWS, _conversion_settings, _CLASS_ROWS)
 """Parameters of the node `obb_to_hbb`."""

@@ -10,29 +10,30 @@ from typing import Any
 
 from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.geometry.input_frame import InputFrame
+from obbhbb_ros.limits import Range
 from obbhbb_ros.overlay.collector import CollectorLimits
 from obbhbb_ros.overlay.drawing import Style
-from obbhbb_ros.settings.common import COMMON
+from obbhbb_ros.settings.common import COMMON_WITH_INPUT
 from obbhbb_ros.settings.common import IMAGES_KEPT
-from obbhbb_ros.settings.common import INPUT_TIMEOUT
-from obbhbb_ros.settings.detection_input import INPUT_COORDINATES
-from obbhbb_ros.settings.detection_input import INPUT_TYPE
+from obbhbb_ros.settings.detection_input import DETECTION_INPUT
 from obbhbb_ros.settings.detection_input import input_frame
 from obbhbb_ros.settings.detection_input import theta_scale
 from obbhbb_ros.settings.parameters import Parameter
+from obbhbb_ros.settings.parameters import ParameterGroup
 from obbhbb_ros.settings.parameters import ParameterTable
-from obbhbb_ros.settings.parameters import group_of
+
+_STYLE = ParameterGroup(Style)
 
 
 @dataclass(frozen=True)
 class OverlaySettings:
     """
-    What one image is drawn under.
+    How one image is drawn.
 
     Attributes
     ----------
     colors : mapping of str to str
-        The layers that are drawn and their colours, '#rrggbb', the first below the others.
+        The layers that are drawn and their colours, '#rrggbb', the first at the bottom.
     style : Style
         How they are drawn.
     theta_scale : float
@@ -40,7 +41,7 @@ class OverlaySettings:
     input_frame : InputFrame
         Coordinates of the detections.
     limits : CollectorLimits
-        For how long an image waits for its layers.
+        How long an image and its layers wait for each other.
     """
 
     colors: Mapping[str, str]
@@ -62,7 +63,7 @@ def _overlay_settings(values: Mapping[str, Any]) -> OverlaySettings:
             raise ValueError(f'color.{layer} must be #rrggbb, not {color!r}')
     return OverlaySettings(
         colors=colors,
-        style=group_of(Style, values, ''),
+        style=_STYLE.build(values),
         theta_scale=theta_scale(values),
         input_frame=input_frame(values),
         limits=CollectorLimits(values['max_wait'], values['max_age'], values['max_images']),
@@ -71,63 +72,32 @@ def _overlay_settings(values: Mapping[str, Any]) -> OverlaySettings:
 
 OVERLAY = ParameterTable(
     (
-        *COMMON,
-        INPUT_TIMEOUT,
-        INPUT_TYPE,
-        *INPUT_COORDINATES,
+        *COMMON_WITH_INPUT,
+        *DETECTION_INPUT,
         Parameter(
             'layers',
             list(LAYER_COLORS),
-            'What is drawn, the first below the others; empty strings are ignored.',
+            'What is drawn, the first at the bottom. Empty strings are ignored.',
         ),
-        Parameter(
-            'labels',
-            Style.labels,
-            'Write class and score beside the detections, best score first, where there is room.',
-        ),
-        Parameter(
-            'scale',
-            Style.scale,
-            'Size of the picture relative to the image; a small one suits a thin link.',
-            0.01,
-            1.0,
-        ),
-        Parameter('quality', Style.quality, 'Quality of the JPEG.', 1, 100),
-        Parameter(
-            'line_width',
-            Style.line_width,
-            'Line width, pixels of the picture (0: what suits its size).',
-            0,
-            1000,
-        ),
-        Parameter(
-            'text_size',
-            Style.text_size,
-            'Text size, pixels of the picture (0: what suits its size).',
-            0,
-            500,
-        ),
+        *_STYLE.rows,
         Parameter(
             'max_wait',
             0.5,
-            'How long an image waits for its layers, seconds; then it is drawn with those that are '
-            'there.',
-            0.0,
-            60.0,
+            'How long an image waits for its layers, seconds. Then it is drawn with those that '
+            'have arrived.',
+            Range(0.0, 60.0),
         ),
         Parameter(
             'max_age',
             5.0,
-            'How long layers wait for their image, seconds; a large one takes a while to arrive.',
-            0.0,
-            3600.0,
+            'How long layers wait for their image, seconds. A large image takes a while to arrive.',
+            Range(0.0, 3600.0),
         ),
         Parameter(
             'max_images',
             IMAGES_KEPT,
             'Maximum images that wait for their layers; the oldest is dropped first.',
-            1,
-            1000,
+            Range(1, 1000),
         ),
         *(
             Parameter(f'color.{layer}', color, f'Colour of {layer.replace("_", " ")}, #rrggbb.')

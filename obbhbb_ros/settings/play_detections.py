@@ -10,6 +10,9 @@ from typing import Any
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels.image_labels import BOW_SOURCES
 from obbhbb_ros.labels.image_labels import BowSource
+from obbhbb_ros.limits import Choices
+from obbhbb_ros.limits import Range
+from obbhbb_ros.settings.detection_input import TOPICS
 from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.settings.parameters import ParameterTable
 from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
@@ -26,7 +29,7 @@ class PlayerSettings:
     bow: BowSource
 
 
-def _settings(values: Mapping[str, Any]) -> PlayerSettings:
+def _player_settings(values: Mapping[str, Any]) -> PlayerSettings:
     """Make settings for `play_detections`."""
     if bool(values['image_width']) != bool(values['image_height']):
         raise ValueError('image_width and image_height must be given together')
@@ -38,66 +41,58 @@ PLAY_DETECTIONS = ParameterTable(
         Parameter(
             'path',
             '',
-            'Label file, or folder of label files (empty: a synthetic harbour).',
+            'Label file, or folder of label files. Empty: a synthetic harbour.',
             read_only=True,
         ),
         Parameter(
             'format',
             '',
-            'Format of the labels (empty: detected).',
-            choices=('', *FORMATS),
+            'Format of the labels. Empty: detected from the files.',
+            Choices(('', *FORMATS)),
             read_only=True,
         ),
-        Parameter('rate', 1.0, 'Images per second.', 0.001, 10000.0, read_only=True),
+        Parameter('rate', 1.0, 'Images per second.', Range(0.001, 10_000.0), read_only=True),
         Parameter('loop', False, 'Start again after the last image, instead of ending.'),
         Parameter(
             'output_type',
             next(iter(INPUT_TYPES)),
-            'Message type; the topic is '
-            + ', '.join(f'`{each.topic}` for {each.name}' for each in INPUT_TYPES.values())
-            + '. A PolygonStamped holds one box.',
-            choices=tuple(INPUT_TYPES),
+            f'Message type. The topic is {TOPICS}. A PolygonStamped holds one box.',
+            Choices(tuple(INPUT_TYPES)),
             read_only=True,
         ),
         Parameter(
             'bow',
             'none',
-            'Angles point to the bow: where labels say so, or to the first edge of every box. For '
-            'heading of obb_to_hbb.',
-            choices=BOW_SOURCES,
+            'Publish theta as the heading: from the `labels`, or assuming the `first-edge` of each '
+            'box is the bow. Use with `heading: theta` of obb_to_hbb.',
+            Choices(BOW_SOURCES),
         ),
         Parameter(
             'images',
             True,
-            'Publish the images on `image` too, if they lie beside the labels, or in images/ '
-            'where the labels lie in labels/. Needs Pillow.',
+            'Also publish the images, on `image`, if they are in the folder of the labels, or in '
+            'images/ beside a folder labels/. Needs Pillow.',
         ),
         Parameter('frame_id', 'camera', 'frame_id of every header.'),
-        Parameter(
-            'image_width',
-            0,
-            'Width of every image, pixels (0: from the labels or images).',
-            0,
-            IMAGE_SIZE_LIMIT,
-            read_only=True,
-        ),
-        Parameter(
-            'image_height',
-            0,
-            'Height of every image, pixels (0: from the labels or images).',
-            0,
-            IMAGE_SIZE_LIMIT,
-            read_only=True,
+        *(
+            Parameter(
+                f'image_{side}',
+                0,
+                f'{side.capitalize()} of every image, pixels. 0: from the labels or images.',
+                Range(0, IMAGE_SIZE_LIMIT),
+                read_only=True,
+            )
+            for side in ('width', 'height')
         ),
         Parameter(
             'wait_for_subscribers',
             1,
-            'Wait for this many subscribers before the first image, so that it is not lost.',
-            0,
-            1000,
+            'Wait for this many subscribers before publishing the first image, so that none misses '
+            'it.',
+            Range(0, 1000),
             read_only=True,
         ),
     ),
-    _settings,
+    _player_settings,
 )
 """Parameters of the node `play_detections`."""

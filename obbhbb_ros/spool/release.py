@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from dataclasses import field
 from math import inf
 
-from obbhbb_ros.downlink.budget import BudgetSettings
+from obbhbb_ros.downlink.budget import LinkSettings
 from obbhbb_ros.downlink.budget import TokenBucket
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.spool.catalogue import SpoolError
@@ -43,7 +43,7 @@ class ReleaseSettings:
 
     Attributes
     ----------
-    budget : BudgetSettings
+    budget : LinkSettings
         Rate, burst and overhead of the link.
     levels : tuple of float
         Value thresholds of the priority folders.
@@ -53,7 +53,7 @@ class ReleaseSettings:
         Maximum bytes in the outbox (0: unlimited).
     """
 
-    budget: BudgetSettings = field(default_factory=BudgetSettings)
+    budget: LinkSettings = field(default_factory=LinkSettings)
     levels: tuple[float, ...] = ()
     removal: bool = False
     max_bytes: float = 0.0
@@ -267,7 +267,7 @@ class Releaser:
             self._on_trouble(text)
         self.stalled_by = text
 
-    def _room_for_link(self) -> BudgetSettings:
+    def _room_for_link(self) -> LinkSettings:
         """Bring budget and available bytes up to date."""
         budget, now = self.settings.budget, self._clock()
         if budget != self._budget:

@@ -38,7 +38,7 @@ _FOLDS = 5
 _DIGITS = 4
 # Bounds of u = 1 - 1/q, which runs from 0 for the rhombus to 1 for the rectangle, and of f and s.
 _LOWEST = (0.0, 0.05, 0.05)
-_HIGHEST = (1.0, F_RANGE[1], S_RANGE[1])
+_HIGHEST = (1.0, F_RANGE.high, S_RANGE.high)
 
 OBJECTIVES: MappingProxyType[str, type[Objective]] = MappingProxyType(
     {objective.name: objective for objective in (MeanIou, Match50, Coverage)}

@@ -99,10 +99,10 @@ class Coverage(Objective):
         s = float(needed[conformal_rank(len(scaling), self.share, self.per_image) - 1])
         if not np.isfinite(s):
             raise ValueError(
-                f'no s up to {S_RANGE[1]:g} keeps {self.keep:g} of {self.share:g} of the ships: '
+                f'no s up to {S_RANGE.high:g} keeps {self.keep:g} of {self.share:g} of the ships: '
                 'are the reference boxes those of the same ships?'
             )
-        return replace(rule, s=min(float(np.ceil(s * _S_SCALE) / _S_SCALE), S_RANGE[1]))
+        return replace(rule, s=min(float(np.ceil(s * _S_SCALE) / _S_SCALE), S_RANGE.high))
 
     def is_enough(self, ships: Ships, seed: int) -> bool:
         """Check whether the half that gives s has enough ships for the guarantee."""

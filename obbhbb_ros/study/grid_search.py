@@ -104,7 +104,7 @@ class Bench:
         at s = 1, pixels; `keep` is a share of the reference's area, in (0, 1].
         """
         enough = keep * self._reference_area * (1.0 - 1e-12)
-        low, high = np.zeros(extents.shape[1]), np.full(extents.shape[1], S_RANGE[1])
+        low, high = np.zeros(extents.shape[1]), np.full(extents.shape[1], S_RANGE.high)
         reachable = self._shared(extents * high) >= enough
         for _ in range(_HALVINGS):
             middle = (low + high) / 2.0

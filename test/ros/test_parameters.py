@@ -34,6 +34,8 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.limits import Choices
+from obbhbb_ros.limits import Range
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.parameter_file import read_values
@@ -381,11 +383,13 @@ def test_every_parameter_is_described(node: Converter, spec: Any) -> None:
     (description,) = node.describe(spec.name)
     assert description.type == TYPES[spec.type_name]
     assert spec.meaning in description.description
-    assert all(choice in description.description for choice in spec.choices)
+    if isinstance(spec.limits, Choices):
+        assert all(word in description.description for word in spec.limits.words)
     assert description.read_only == spec.read_only
     ranges = [*description.floating_point_range, *description.integer_range]
-    found = [(each.from_value, each.to_value) for each in ranges]
-    assert found == ([] if spec.low is None else [(spec.low, spec.high)])
+    bounds = [(limits.from_value, limits.to_value) for limits in ranges]
+    expected = [(spec.limits.low, spec.limits.high)] if isinstance(spec.limits, Range) else []
+    assert bounds == expected
 
 
 @pytest.mark.parametrize(
@@ -578,6 +582,8 @@ def test_the_lock_itself_is_only_for_the_start(node: Converter) -> None:
 @pytest.mark.parametrize('table', NODE_TABLES.values(), ids=list(NODE_TABLES))
 def test_every_integer_fits_the_32_bits_of_tools_made_with_qt(table) -> None:
     limits = [
-        (spec.low, spec.high) for spec in table.rows + table.class_rows if type(spec.default) is int
+        (spec.limits.low, spec.limits.high)
+        for spec in table.rows + table.class_rows
+        if type(spec.default) is int
     ]
     assert all(-(2**31) <= low <= high < 2**31 for low, high in limits)

@@ -246,7 +246,7 @@ def test_many_boxes_of_several_classes_come_out_as_each_alone() -> None:
 @pytest.mark.parametrize('name', ['q_bow', 'q_stern'])
 @pytest.mark.parametrize('value', [0.99, np.nan, 0.0, -np.inf])
 def test_an_exponent_of_an_end_out_of_range_is_an_error_that_names_it(name, value) -> None:
-    with pytest.raises(ValueError, match=f'^{name} must be in'):
+    with pytest.raises(ValueError, match=f'^{name} must be 1 to inf'):
         convert(OrientedBoxes.from_xywhr([SLOPE]), **{name: value})
 
 

@@ -196,7 +196,7 @@ def test_images_without_ships_are_no_error(source: Path, tmp_path: Path) -> None
         (['--to', 'yolo'], "image 'P1': YOLO needs its size"),
         (['--from', 'labelme', '--to', 'csv'], "unknown label format 'labelme'"),
         ([], 'give the label format to write'),
-        (['--to', 'csv', '--q', '0.5'], 'q must be in [1, inf]'),
+        (['--to', 'csv', '--q', '0.5'], 'q must be 1 to inf'),
         (['--to', 'csv', '--method', 'magic'], 'magic'),
         (['--to', 'csv', '--max-length', '-1'], 'max_length must be positive'),
         (['--to', 'csv', '--image-size', '0', '5'], 'image_size'),

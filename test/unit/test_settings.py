@@ -164,9 +164,13 @@ def test_what_is_no_parameter_file_is_an_error_that_names_it(written, text, reas
         ({'q': 3}, '^q must be a double, not 3'),
         ({'image_width': True}, '^image_width must be a int'),
         ({'method': 'magic'}, '^method must be one of'),
-        ({'f': 0.0}, r'^f must be in \(0, 2\]'),
+        ({'f': 0.0}, '^f must be above 0 and at most 2, not 0.0'),
         ({'crop.max_size': 8, 'crop.min_size': 9}, '^crop.max_size'),
-        ({'class_ids': ['a'], 'classes.a.q': 0.5}, '^classes.a.q must be in'),
+        ({'class_ids': ['a'], 'classes.a.q': 0.5}, '^classes.a.q must be 1 to inf'),
+        ({'crop.q': 0.5}, '^crop.q must be 0, or 1 to inf, not 0.5'),
+        ({'class_ids': ['a'], 'classes.a.crop_q': 0.5}, '^classes.a.crop_q must be 0, or 1 to inf'),
+        ({'class_ids': ['a'], 'classes.a.crop_q': -0.5}, '^classes.a.crop_q must be -1, or'),
+        ({'class_ids': ['a'], 'classes.a.min_score': -0.5}, '^classes.a.min_score must be -1, or'),
         ({'class_ids': ['a', 5]}, r"^class_ids must be a string\[\], not \['a', 5\]"),
         ({'class_ids': [str(i) for i in range(257)]}, 'the maximum is 256'),
     ],
@@ -174,6 +178,25 @@ def test_what_is_no_parameter_file_is_an_error_that_names_it(written, text, reas
 def test_values_that_cannot_be_used_are_refused_by_name(values, reason) -> None:
     with pytest.raises(ValueError, match=reason):
         OBB_TO_HBB.settings(values)
+
+
+def settings_of_class(**values):
+    return OBB_TO_HBB.settings(
+        {'crop.q': 4.0, 'crop.min_score': 0.5, 'class_ids': ['tug']}
+        | {f'classes.tug.{name}': value for name, value in values.items()}
+    )
+
+
+def test_a_class_without_values_for_its_crop_regions_has_those_of_the_node() -> None:
+    for settings in (settings_of_class(), settings_of_class(min_score=-1.0, crop_q=-1.0)):
+        assert settings.min_scores.tolist() == [0.5, 0.5]
+        assert settings.crop_rules == (HullRule(q=4.0), HullRule(q=4.0))
+
+
+def test_a_class_can_have_crop_regions_for_any_score_around_the_box_alone() -> None:
+    settings = settings_of_class(min_score=0.0, crop_q=0.0)
+    assert settings.min_scores.tolist() == [0.5, 0.0]
+    assert settings.crop_rules == (HullRule(q=4.0), None)
 
 
 def test_a_misspelt_class_parameter_makes_no_class() -> None:

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a setting means and which values it takes, written once: at the field of its dataclass.
+
+The parameters of the nodes are made from these fields, and the dataclass checks itself by them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from dataclasses import field
+from dataclasses import fields
+from typing import Any
+from typing import TypeAlias
+from typing import TypeVar
+
+T = TypeVar('T')
+
+MAX_BYTES = 1e12
+# The largest integer that Qt's tools take, rqt_reconfigure among them.
+MAX_INT = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class Range:
+    """
+    Numbers from `low` to `high`.
+
+    Attributes
+    ----------
+    low, high : float
+        Bounds; `high` is included.
+    above : bool
+        Whether `low` is excluded.
+
+    Examples
+    --------
+    >>> str(Range(1, 100)), str(Range(0.0, 2.0, above=True))
+    ('1 to 100', 'above 0 and at most 2')
+    """
+
+    low: float
+    high: float
+    above: bool = False
+
+    def __str__(self) -> str:
+        """Describe the range."""
+        if self.above:
+            return f'above {self.low:.10g} and at most {self.high:.10g}'
+        return f'{self.low:.10g} to {self.high:.10g}'
+
+    def check(self, name: str, value: float) -> None:
+        """Raise ValueError with the name if a value is out of range or NaN."""
+        if not self.low <= value <= self.high or (self.above and value == self.low):
+            raise ValueError(f'{name} must be {self}, not {value}')
+
+
+@dataclass(frozen=True)
+class Choices:
+    """
+    A choice of words.
+
+    Examples
+    --------
+    >>> str(Choices(('', 'png')))
+    '"", png'
+    """
+
+    words: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """List the words."""
+        return ', '.join(word or '""' for word in self.words)
+
+    def check(self, name: str, value: str) -> None:
+        """Raise ValueError with the name if a value is none of the words."""
+        if value not in self.words:
+            raise ValueError(f'{name} must be one of {self}, not {value!r}')
+
+
+Limits: TypeAlias = Range | Choices
+
+
+def setting(default: T, meaning: str, limits: Limits | None = None) -> T:
+    """
+    Make a field of a dataclass of settings.
+
+    Parameters
+    ----------
+    default : bool, int, float or str
+        Default value.
+    meaning : str
+        One or two sentences with the unit.
+    limits : Range or Choices, optional
+        The values that it takes.
+    """
+    made: Any = field(default=default, metadata={'meaning': meaning, 'limits': limits})
+    return made
+
+
+def check_settings(settings: Any) -> None:
+    """
+    Check each field of a dataclass against its limits; None passes.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its limits; the message begins with the name of the field.
+    """
+    for item in fields(settings):
+        value, limits = getattr(settings, item.name), item.metadata.get('limits')
+        if limits is not None and value is not None:
+            limits.check(item.name, value)
