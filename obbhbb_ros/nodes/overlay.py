@@ -170,7 +170,7 @@ class Overlay(ManagedNode[OverlaySettings]):
     def _on_layer(self, layer: str, data: bytes) -> None:
         """Keep a layer for its image, if it is drawn."""
         self._monitor.add(f'layers_received.{layer}')
-        if self._active and layer not in self._parameters_in_force.settings.colors:
+        if self._active and layer not in self._parameters_in_force.settings.frame.colors:
             return
         read = (
             partial(Detections, input_type=self._input_type)
@@ -212,12 +212,12 @@ class Overlay(ManagedNode[OverlaySettings]):
         settings = self._parameters_in_force.settings
         awaited = {
             layer
-            for layer in settings.colors
+            for layer in settings.frame.colors
             if self._subscriptions_by_kind[layer].get_publisher_count()
         }
         for image, layers in self._collector.ready(awaited, time.monotonic(), settings.limits):
             started = time.perf_counter()
-            self._draw(OverlayFrame(image, layers, settings), settings, awaited)
+            self._draw(OverlayFrame(image, layers, settings.frame), settings, awaited)
             self._monitor.took(time.perf_counter() - started)
 
     def _draw(self, frame: OverlayFrame, settings: OverlaySettings, awaited: set[str]) -> None:
@@ -225,7 +225,7 @@ class Overlay(ManagedNode[OverlaySettings]):
         self._monitor.add('frames_drawn')
         self._monitor.add('boxes_not_drawn', frame.boxes_not_drawn)
         self._report_missing(frame, awaited)
-        for layer in settings.colors:
+        for layer in settings.frame.colors:
             publishers = [p for p in (self._markers, self._markers_of[layer]) if _wanted(p)]
             marker = frame.marker(layer) if publishers else b''
             for publisher in publishers:

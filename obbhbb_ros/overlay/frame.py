@@ -9,6 +9,7 @@ An image and its layers, as a picture and as markers. No ROS in here.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,16 +20,39 @@ from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.overlay.drawing import Labels
 from obbhbb_ros.overlay.drawing import Layer
 from obbhbb_ros.overlay.drawing import Picture
+from obbhbb_ros.overlay.drawing import Style
 from obbhbb_ros.overlay.drawing import draw
 from obbhbb_ros.overlay.drawing import label_text
 from obbhbb_ros.overlay.drawing import lines
-from obbhbb_ros.settings.overlay import OverlaySettings
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image_marker import line_list
 
 _NOWHERE = np.empty((0, 4, 2))
 _NUMBERS = {layer: number for number, layer in enumerate(LAYER_COLORS)}
+
+
+@dataclass(frozen=True)
+class FrameSettings:
+    """
+    How an image and its layers are drawn.
+
+    Attributes
+    ----------
+    colors : mapping of str to str
+        The layers that are drawn and their colours, '#rrggbb', the first at the bottom.
+    style : Style
+        Style of the picture.
+    theta_scale : float
+        Factor from the angle unit of the detections to radians.
+    input_frame : InputFrame
+        Coordinates of the detections.
+    """
+
+    colors: Mapping[str, str]
+    style: Style
+    theta_scale: float
+    input_frame: InputFrame
 
 
 class OverlayFrame:
@@ -41,12 +65,12 @@ class OverlayFrame:
         The image.
     layers : mapping of str to Detections
         The layers that came with it, by their names in `LAYER_COLORS`.
-    settings : OverlaySettings
+    settings : FrameSettings
         The settings.
     """
 
     def __init__(
-        self, image: WireImage, layers: Mapping[str, Detections], settings: OverlaySettings
+        self, image: WireImage, layers: Mapping[str, Detections], settings: FrameSettings
     ) -> None:
         self.image = image
         self._settings = settings

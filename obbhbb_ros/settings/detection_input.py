@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import groupby
 from typing import Any
 
 from obbhbb_ros.geometry.input_frame import FITS
@@ -15,11 +16,11 @@ from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
-TOPICS = '; '.join(
-    f'`{topic}` for {" and ".join(kind.name for kind in INPUT_TYPES.values() if kind.topic == topic)}'
-    for topic in dict.fromkeys(kind.topic for kind in INPUT_TYPES.values())
+TOPICS = ' or '.join(
+    f'`{topic}` ({", ".join(kind.name for kind in kinds)})'
+    for topic, kinds in groupby(INPUT_TYPES.values(), lambda kind: kind.topic)
 )
-"""The topics of the types of messages with detections."""
+"""The topics of detections, each with its message types."""
 
 INPUT_TYPE = Parameter(
     'input_type',

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from obbhbb_ros.colors import LAYER_COLORS
-from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.limits import Range
 from obbhbb_ros.overlay.collector import CollectorLimits
 from obbhbb_ros.overlay.drawing import Style
+from obbhbb_ros.overlay.frame import FrameSettings
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
 from obbhbb_ros.settings.common import IMAGES_KEPT
 from obbhbb_ros.settings.detection_input import DETECTION_INPUT
@@ -27,27 +27,9 @@ _STYLE = ParameterGroup(Style)
 
 @dataclass(frozen=True)
 class OverlaySettings:
-    """
-    How one image is drawn.
+    """How images are drawn, and how long they and their layers wait for each other."""
 
-    Attributes
-    ----------
-    colors : mapping of str to str
-        The layers that are drawn and their colours, '#rrggbb', the first at the bottom.
-    style : Style
-        How they are drawn.
-    theta_scale : float
-        Factor from the input's angle unit to radians.
-    input_frame : InputFrame
-        Coordinates of the detections.
-    limits : CollectorLimits
-        How long an image and its layers wait for each other.
-    """
-
-    colors: Mapping[str, str]
-    style: Style
-    theta_scale: float
-    input_frame: InputFrame
+    frame: FrameSettings
     limits: CollectorLimits
 
 
@@ -62,11 +44,8 @@ def _overlay_settings(values: Mapping[str, Any]) -> OverlaySettings:
         if not re.fullmatch('#[0-9a-fA-F]{6}', color):
             raise ValueError(f'color.{layer} must be #rrggbb, not {color!r}')
     return OverlaySettings(
-        colors=colors,
-        style=_STYLE.build(values),
-        theta_scale=theta_scale(values),
-        input_frame=input_frame(values),
-        limits=CollectorLimits(values['max_wait'], values['max_age'], values['max_images']),
+        FrameSettings(colors, _STYLE.build(values), theta_scale(values), input_frame(values)),
+        CollectorLimits(values['max_wait'], values['max_age'], values['max_images']),
     )
 
 
