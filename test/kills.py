@@ -27,8 +27,8 @@ from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.nodes.play_detections import image_message
-from obbhbb_ros.spool.spool import Spool
-from obbhbb_ros.spool.spool import Status
+from obbhbb_ros.spool.books import Status
+from obbhbb_ros.spool.console import SpoolConsole
 
 SIDE, CHIPS = 256, 100
 PERIOD = 0.1
@@ -93,7 +93,7 @@ class Chain(ExitStack):
         self.bus = Bus(folder / 'outbox')
         self.callback(self.bus.stop)
         self.callback(lambda: [node.close() for node in self.nodes.values()])
-        self.books = Spool(folder / 'spool', print)
+        self.books = SpoolConsole(folder / 'spool', print)
 
     @staticmethod
     def _make_plan() -> Any:

@@ -21,11 +21,11 @@ from obbhbb_ros.downlink.chips import encode
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.spool.chip_rows import NewChip
 from obbhbb_ros.spool.outbox import JSON_SUFFIX
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.outbox import level_of
-from obbhbb_ros.spool.spool import NewChip
-from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.writer import SpoolWriter
 from obbhbb_ros.study.chip_costs import render
 from obbhbb_ros.study.harbour import harbour
 
@@ -48,17 +48,17 @@ def make_outbox(folder: Path, count: int = 24, codec: str = 'jpeg', depth: int =
 
 def make_spool(folder: Path, count: int = 24) -> None:
     """Fill a spool with the same chips."""
-    spool = Spool(folder, print, 'writer')
+    writer = SpoolWriter(folder, print)
     chips = list(islice((each for frame in range(count) for each in _chips_of(frame)), count))
-    spool.store(
-        spool.plan(count),
+    writer.store(
+        writer.plan(count),
         [
             NewChip(facts['value'], facts['class_id'], tuple(facts['stamp'].values()), facts, data)
             for facts, data in chips
         ],
         {},
     )
-    spool.close()
+    writer.close()
 
 
 def put(folder: Path, facts: dict[str, Any], chip: bytes) -> Path:

@@ -14,12 +14,14 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from obbhbb_ros.spool.catalogue import files
+from obbhbb_ros.spool.catalogue import catalogue_files
+from obbhbb_ros.spool.chip_rows import NewChip
+from obbhbb_ros.spool.console import SpoolConsole
+from obbhbb_ros.spool.feeder import OutboxFeeder
+from obbhbb_ros.spool.feeder import ReleaseSettings
 from obbhbb_ros.spool.outbox import Outbox
-from obbhbb_ros.spool.release import Releaser
-from obbhbb_ros.spool.release import ReleaseSettings
-from obbhbb_ros.spool.spool import NewChip
-from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.releaser import SpoolReleaser
+from obbhbb_ros.spool.writer import SpoolWriter
 
 FACTS = {
     'frame_id': 'camera',
@@ -48,10 +50,26 @@ def new_chip(
     return NewChip(value, class_id, stamp, FACTS | facts, data)
 
 
-def store(spool: Spool, values: Sequence[float], size: int = 300, max_bytes: float = 0.0) -> bool:
+def store(
+    writer: SpoolWriter, values: Sequence[float], size: int = 300, max_bytes: float = 0.0
+) -> bool:
     """Plan and store a frame."""
     chips = [new_chip(value, size) for value in values]
-    return spool.store(spool.plan(len(values)), chips, {}, max_bytes)
+    return writer.store(writer.plan(len(values)), chips, {}, max_bytes)
+
+
+class SpoolUsers:
+    """A writer, a releaser and a console of one spool."""
+
+    def __init__(self, folder: Path, on_trouble: Callable[[str], object]) -> None:
+        self.writer = SpoolWriter(folder, on_trouble)
+        self.releaser = SpoolReleaser(folder, on_trouble)
+        self.console = SpoolConsole(folder, on_trouble)
+
+    def close(self) -> None:
+        """Close all of them."""
+        for user in (self.writer, self.releaser, self.console):
+            user.close()
 
 
 class Clock:
@@ -64,49 +82,49 @@ class Clock:
         return self.now
 
 
-def releaser(
+def feeder(
     folder: Path,
     on_trouble: Callable[[str], object],
     clock: Clock | None = None,
     settings: ReleaseSettings = RELEASE,
-    contact: bool = True,
-) -> Releaser:
-    """Make a releaser from `spool` to `outbox` in a folder."""
-    made = Releaser(
-        Spool(folder / 'spool', on_trouble, 'releaser'),
+    is_contact: bool = True,
+) -> OutboxFeeder:
+    """Make a feeder from `spool` to `outbox` in a folder."""
+    made = OutboxFeeder(
+        SpoolReleaser(folder / 'spool', on_trouble),
         Outbox(folder / 'outbox'),
         settings,
         on_trouble,
         clock or Clock(),
     )
-    made.contact = contact
+    made.steer(settings, is_contact)
     return made
 
 
 def in_outbox(folder: Path) -> dict[str, dict[str, Any]]:
     """Read the JSON files of an outbox, by id; AssertionError if anything is amiss there."""
     visible = {path for path in folder.glob('*/*') if not path.name.startswith('.')}
-    found = {}
+    descriptions = {}
     for path in sorted(visible):
         if path.suffix == '.json':
             described = json.loads(path.read_text(encoding='utf-8'))
             data = path.with_suffix('.jpg').read_bytes()
             assert path.stem == described['id']
-            assert described['id'] not in found, 'it is there twice'
+            assert described['id'] not in descriptions, 'it is there twice'
             assert described['bytes'] == len(data)
             assert described['sha256'] == sha256(data).hexdigest()
-            found[path.stem] = described
-    assert len(visible) == 2 * len(found), 'a chip without JSON'
-    return found
+            descriptions[path.stem] = described
+    assert len(visible) == 2 * len(descriptions), 'a chip without JSON'
+    return descriptions
 
 
 def values_in_outbox(folder: Path) -> list[float]:
     """List the values of the chips in an outbox, the greatest first."""
-    return sorted((each['value'] for each in in_outbox(folder).values()), reverse=True)
+    return sorted((chip['value'] for chip in in_outbox(folder).values()), reverse=True)
 
 
 @contextmanager
 def database(folder: Path) -> Iterator[sqlite3.Connection]:
     """Open the newest catalogue of a spool."""
-    with closing(sqlite3.connect(files(folder)[-1])) as found, found:
-        yield found
+    with closing(sqlite3.connect(catalogue_files(folder)[-1])) as catalogue, catalogue:
+        yield catalogue

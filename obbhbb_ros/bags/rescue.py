@@ -13,7 +13,6 @@ import zlib
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
-from collections.abc import Mapping
 from contextlib import closing
 from io import BytesIO
 from pathlib import Path
@@ -44,7 +43,9 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from obbhbb_ros.bags.topics import VERSION
 from obbhbb_ros.bags.topics import add_topic
-from obbhbb_ros.spool.catalogue import lossy_text
+from obbhbb_ros.damaged_sqlite import Gap
+from obbhbb_ros.damaged_sqlite import lossy_text
+from obbhbb_ros.damaged_sqlite import rows_around_damage
 
 _SUFFIXES = ('.mcap', '.db3')
 # Opcode, length, first and last time, size, checksum, length of the compression's name.
@@ -53,10 +54,6 @@ _MOST_OF_A_CHUNK = 2**26
 # Bytes of a chunk that are decompressed at once.
 _PIECE = 256
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
-# Above all numbers of messages.
-_NUMBERS = 2**62
-# One damaged page of an SQLite file makes fewer messages than this unreadable.
-_MOST_UNREADABLE = 100_000
 # What a damaged table leads to.
 _TABLE_ERRORS = (sqlite3.Error, UnicodeError, LookupError)
 
@@ -275,7 +272,7 @@ def _records(stream: BinaryIO, name: str, lose: Report) -> Iterator[Any]:
         if not isinstance(record, Chunk):
             yield record
             continue
-        content = _unpacked(record.compression, record.data)
+        content = unpack_chunk(record.compression, record.data)
         crc = record.uncompressed_crc
         if len(content) != record.uncompressed_size or (crc and zlib.crc32(content) != crc):
             lose(f'{name}: the chunk of messages from byte {start} on is damaged')
@@ -290,7 +287,7 @@ def _beginning_of_chunk(data: bytes) -> Iterator[Any]:
     start = _CHUNK_HEAD.size + length
     compression = data[_CHUNK_HEAD.size : start].decode(errors='replace')
     # Behind the size of the rest.
-    yield from _inner_records(_unpacked(compression, data[start + 8 :]))
+    yield from _inner_records(unpack_chunk(compression, data[start + 8 :]))
 
 
 def _inner_records(content: bytes) -> Iterator[Any]:
@@ -302,7 +299,7 @@ def _inner_records(content: bytes) -> Iterator[Any]:
         return
 
 
-def _unpacked(compression: str, data: bytes) -> bytes:
+def unpack_chunk(compression: str, data: bytes) -> bytes:
     """Decompress a chunk, up to where it is damaged."""
     if not compression:
         return data
@@ -343,28 +340,24 @@ def _sqlite_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, by
         except _TABLE_ERRORS as error:
             lose(f'{path.name}: nothing can be read: {_text(error)}')
             return
-        for number in _numbers(base, path.name, lose):
-            try:
-                yield _sqlite_message(base, topics, number)
-            except (sqlite3.Error, LookupError) as error:
-                lose(f'{path.name}: message {number} is lost: {error}')
+        columns = ('id', 'topic_id', 'timestamp', 'data')
+        for number, topic_id, moment, data in rows_around_damage(
+            base, 'messages', columns, lambda gap: lose(f'{path.name}: {_lost(gap)}')
+        ):
+            if not (isinstance(moment, int) and moment >= 0 and isinstance(data, bytes)):
+                lose(f'{path.name}: message {number} is lost: it is damaged')
+            elif topic_id not in topics:
+                lose(f'{path.name}: message {number} is lost: it is of no known topic')
+            else:
+                yield topics[topic_id], moment, data
 
 
-def _sqlite_message(
-    base: sqlite3.Connection, topics: Mapping[int, _Topic], number: int
-) -> tuple[_Topic, int, bytes]:
-    """Read a message; LookupError if it is none any more."""
-    row = base.execute(
-        'SELECT topic_id, timestamp, data FROM messages WHERE id = ? AND timestamp >= 0 '
-        "AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'",
-        (number,),
-    ).fetchone()
-    if row is None:
-        raise LookupError('it is damaged')
-    identity, moment, data = row
-    if identity not in topics:
-        raise LookupError('it is of no known topic')
-    return topics[identity], moment, data
+def _lost(gap: Gap) -> str:
+    """Say which messages cannot be read, and why."""
+    if gap.first == gap.last:
+        return f'message {gap.first} is lost: {gap.error}'
+    until = 'and on' if gap.last is None else f'to {gap.last}'
+    return f'messages {gap.first} {until} are lost: {gap.error}'
 
 
 def _sqlite_topics(base: sqlite3.Connection, name: str, lose: Report) -> dict[int, _Topic]:
@@ -405,41 +398,3 @@ def _rows(base: sqlite3.Connection, table: str) -> list[dict[str, Any]]:
     cursor = base.execute(f'SELECT * FROM {table}')
     names = [each[0] for each in cursor.description]
     return [dict(zip(names, row, strict=True)) for row in cursor]
-
-
-def _numbers(base: sqlite3.Connection, name: str, lose: Report) -> list[int]:
-    """List the messages that are there: from both ends, and between damaged places."""
-    found, error = _scan(base, 'ORDER BY id')
-    if error is None:
-        return found
-    behind, _ = _scan(base, 'ORDER BY id DESC')
-    # The first number that is not read, and the first that is known again.
-    bad, end = max(found[-1:], default=0) + 1, min(behind[-1:], default=_NUMBERS)
-    start = bad
-    while error and start < end and start - bad < _MOST_UNREADABLE:
-        more, again = _scan(base, 'WHERE id >= ? AND id < ? ORDER BY id', start, end)
-        if again and not more:
-            start += 1
-            continue
-        last = min(more[:1], default=end) - 1
-        lose(f'{name}: messages {bad} to {last} are lost: {error}')
-        found += more
-        bad = start = max(start, *more[-1:]) + 1
-        error = again
-    if error and bad < end:
-        until = f' to {end - 1}' if behind else ' and on'
-        lose(f'{name}: messages {bad}{until} are lost: {error}')
-    return sorted({*found, *behind})
-
-
-def _scan(
-    base: sqlite3.Connection, which: str, *values: int
-) -> tuple[list[int], sqlite3.Error | None]:
-    """List messages up to where the file is damaged, and say how."""
-    found: list[int] = []
-    try:
-        for (number,) in base.execute(f'SELECT id FROM messages {which}', values):
-            found.append(number)
-    except sqlite3.Error as error:
-        return found, error
-    return found, None

@@ -8,10 +8,14 @@ import math
 from argparse import ArgumentParser
 from argparse import Namespace
 from collections.abc import Callable
+from collections.abc import Iterable
+from contextlib import closing
 from pathlib import Path
 
-from obbhbb_ros.spool.spool import Spool
-from obbhbb_ros.spool.spool import intact_chips
+from obbhbb_ros.spool.chip_rows import StoredChip
+from obbhbb_ros.spool.console import ChipFilter
+from obbhbb_ros.spool.console import SpoolConsole
+from obbhbb_ros.spool.salvage import intact_chips
 from obbhbb_ros.study import spools
 
 _CHIPS_LISTED, _EXPORTED = 20, Path('out/chips')
@@ -84,43 +88,37 @@ def run_spool(options: Namespace) -> int:
         given = getattr(options, name)
         if action != options.action and given is not None and given is not False:
             raise ValueError(f'{options.action}: takes no --{name}, it is for {action}')
-    condition = spools.Condition(
-        options.class_ids, options.ids, options.min_value, options.max_value
-    )
+    chips = ChipFilter(options.class_ids, options.ids, options.min_value, options.max_value)
     if options.spool.is_file() and options.action == 'export':
-        chips = (each for each in intact_chips(options.spool) if condition.matches(each[0]))
-        print(f'{spools.export(chips, options.output or _EXPORTED)} chips exported')
-        return 0
-    if options.action in ('delete', 'revalue') and condition.is_any and not options.all:
+        intact = ((chip, data) for chip, data in intact_chips(options.spool) if chips.matches(chip))
+        return _export(intact, options)
+    if options.action in ('delete', 'revalue') and chips.is_any and not options.all:
         raise ValueError(f'{options.action}: which chips? Give a condition, or --all')
-    if options.action in ('check', 'forget-outbox') and not condition.is_any:
+    if options.action in ('check', 'forget-outbox') and not chips.is_any:
         raise ValueError(f'{options.action}: takes no condition, it is for the whole spool')
-    spool = spools.open_spool(options.spool)
-    try:
-        return SPOOL_ACTIONS[options.action](spool, condition, options)
-    finally:
-        spool.close()
+    with closing(spools.open_spool(options.spool)) as console:
+        return SPOOL_ACTIONS[options.action](console, chips, options)
 
 
-def _list_spool(spool: Spool, condition: spools.Condition, options: Namespace) -> int:
+def _list_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
     """Show the books, and the chips that are released next."""
     limit = _CHIPS_LISTED if options.limit is None else options.limit or -1
-    chips, status = spool.select(*condition.sql(), limit), spool.status()
+    shown, status = console.select(chips, limit), console.status()
     if options.json:
-        print(json.dumps(spools.as_json(status, chips), indent=1, ensure_ascii=False))
+        print(json.dumps(spools.as_json(status, shown), indent=1, ensure_ascii=False))
     else:
-        print(spools.status_text(status) + '\n\n' + spools.chip_table(chips))
+        print(spools.status_text(status) + '\n\n' + spools.chip_table(shown))
     return 0
 
 
-def _check_spool(spool: Spool, condition: spools.Condition, options: Namespace) -> int:
+def _check_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
     """Check catalogue, books and files."""
-    wrong = list(spools.wrong_with(spool))
+    wrong = list(spools.wrong_with(console))
     print('\n'.join(wrong) or f'{options.spool} is in order')
     return 1 if wrong else 0
 
 
-def _revalue_spool(spool: Spool, condition: spools.Condition, options: Namespace) -> int:
+def _revalue_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
     """Give waiting chips another value, and so another place in the order."""
     if (options.to is None) == (options.by is None):
         raise ValueError('revalue: give either --to or --by')
@@ -129,31 +127,35 @@ def _revalue_spool(spool: Spool, condition: spools.Condition, options: Namespace
         raise ValueError('revalue: the value must be finite')
     if factor < 0.0:
         raise ValueError('revalue: --by must be 0 or more: less would turn the order round')
-    print(f'{spool.revalue(*condition.sql(), factor, addend)} chips revalued')
+    print(f'{console.revalue(chips, factor, addend)} chips revalued')
     return 0
 
 
-def _delete_from_spool(spool: Spool, condition: spools.Condition, options: Namespace) -> int:
+def _delete_from_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
     """Delete waiting chips."""
-    print(f'{spool.delete(*condition.sql())} chips deleted')
+    print(f'{console.delete(chips)} chips deleted')
     return 0
 
 
-def _export_spool(spool: Spool, condition: spools.Condition, options: Namespace) -> int:
+def _export_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
     """Write chips and their JSON to a folder, and leave them in the spool."""
-    chips = spools.files_of(spool, spool.select(*condition.sql()))
+    return _export(console.files(console.select(chips)), options)
+
+
+def _export(chips: Iterable[tuple[StoredChip, bytes]], options: Namespace) -> int:
+    """Write chips to a folder, and say how many."""
     print(f'{spools.export(chips, options.output or _EXPORTED)} chips exported')
     return 0
 
 
-def _forget_outbox(spool: Spool, condition: spools.Condition, options: Namespace) -> int:
+def _forget_outbox(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
     """Count the chips in a lost outbox as evicted, so that another one is used."""
-    print(f'{spool.forget_outbox()} chips counted as evicted')
+    print(f'{console.forget_outbox()} chips counted as evicted')
     return 0
 
 
 # The docstring of the function that carries out an action is its help.
-SPOOL_ACTIONS: dict[str, Callable[[Spool, spools.Condition, Namespace], int]] = {
+SPOOL_ACTIONS: dict[str, Callable[[SpoolConsole, ChipFilter, Namespace], int]] = {
     'list': _list_spool,
     'check': _check_spool,
     'revalue': _revalue_spool,

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from collections.abc import Sequence
 
 from obbhbb_ros.downlink.chips import EncodedChip
-from obbhbb_ros.spool.spool import NewChip
+from obbhbb_ros.spool.chip_rows import NewChip
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.plans import Source
 from obbhbb_ros.wire.plans import WirePlan

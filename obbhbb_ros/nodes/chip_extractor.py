@@ -47,9 +47,9 @@ from obbhbb_ros.settings.chip_extractor import ChipSettings
 from obbhbb_ros.settings.common import IMAGES_KEPT
 from obbhbb_ros.settings.common import PLANS_KEPT
 from obbhbb_ros.spool.catalogue import SpoolError
-from obbhbb_ros.spool.spool import Frame
-from obbhbb_ros.spool.spool import NewChip
-from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.chip_rows import NewChip
+from obbhbb_ros.spool.writer import FrameTicket
+from obbhbb_ros.spool.writer import SpoolWriter
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image import read_image
@@ -79,7 +79,7 @@ class PlannedFrame:
     """A crop plan, and its place in the books of the spool if there is one."""
 
     plan: WirePlan
-    frame: Frame | None
+    frame: FrameTicket | None
 
     def __len__(self) -> int:
         """Count the regions."""
@@ -125,7 +125,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         # The link remembers what was sent while the node is inactive.
         self._bucket = TokenBucket(self._budget, time.monotonic())
         self._stamps = ChipStamps()
-        self._spool: Spool | None = None
+        self._spool: SpoolWriter | None = None
         self._autostart()
 
     def _create_topics(self) -> None:
@@ -139,7 +139,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         # Subscribed first, so that camera infos and sources are there before images and plans.
         self._camera_in = self._input(CameraInfo, 'camera_info', self._on_camera_info)
         path = self._parameters_in_force.settings.spool_path
-        self._spool = Spool(Path(path), self._warn_of_spool, 'writer') if path else None
+        self._spool = SpoolWriter(Path(path), self._warn_of_spool) if path else None
         plans = {'reliability': ReliabilityPolicy.RELIABLE, 'depth': PLANS_KEPT}
         if self._spool is not None:
             self._sources_in = self._input(

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import threading
-from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -18,73 +16,10 @@ from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.settings.downlink import DOWNLINK
 from obbhbb_ros.settings.downlink import DownlinkSettings
 from obbhbb_ros.spool.catalogue import SpoolError
-from obbhbb_ros.spool.outbox import Outbox
-from obbhbb_ros.spool.release import IDLE
-from obbhbb_ros.spool.release import Releaser
-from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.console import SpoolConsole
+from obbhbb_ros.spool.feeder_thread import FeederThread
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.contact import read_contact
-
-# Seconds that the worker has for its last step; a disk that does not answer keeps it longer.
-_LAST_STEP = 2.0
-# Kept between two reports.
-_MOST_TROUBLES = 100
-
-
-class Worker:
-    """
-    Releases chips in a thread of its own, so that a slow outbox stalls nothing else.
-
-    Parameters
-    ----------
-    settings : DownlinkSettings
-        Where and how.
-
-    Attributes
-    ----------
-    releaser : Releaser
-        Its attributes may be set while the thread runs.
-    troubles : deque of str
-        What an operator should know.
-    """
-
-    def __init__(self, settings: DownlinkSettings) -> None:
-        self.troubles: deque[str] = deque(maxlen=_MOST_TROUBLES)
-        self._spool = Spool(Path(settings.spool_path), self.troubles.append, 'releaser')
-        self.releaser = Releaser(
-            self._spool,
-            Outbox(Path(settings.outbox_path)),
-            settings.release,
-            self.troubles.append,
-        )
-        self._wake, self._is_stopping = threading.Event(), False
-        # A process does not wait for it to end: whatever it does may be interrupted.
-        self._thread = threading.Thread(target=self._work, name='release', daemon=True)
-        self._thread.start()
-
-    def wake(self) -> None:
-        """Have changes take effect now."""
-        self._wake.set()
-
-    def stop(self) -> None:
-        """End the thread after its step, without waiting for a disk that does not answer."""
-        self.releaser.contact = False
-        self._is_stopping = True
-        self.wake()
-        self._thread.join(_LAST_STEP)
-
-    def _work(self) -> None:
-        """Release chips until told to stop."""
-        while not self._is_stopping:
-            try:
-                pause = self.releaser.step()
-            except Exception as error:
-                self.releaser.stalled_by = f'{type(error).__name__}: {error}'
-                self.troubles.append(self.releaser.stalled_by)
-                pause = 10 * IDLE
-            self._wake.wait(pause)
-            self._wake.clear()
-        self._spool.close()
 
 
 class Downlink(ManagedNode[DownlinkSettings]):
@@ -109,8 +44,8 @@ class Downlink(ManagedNode[DownlinkSettings]):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__('downlink', DOWNLINK, ('contacts_received',), **kwargs)
-        self._worker: Worker | None = None
-        self._books: Spool | None = None
+        self._worker: FeederThread | None = None
+        self._books: SpoolConsole | None = None
         self._contact = False
         self._parameters_in_force.on_change = self._steer
         self._autostart()
@@ -127,18 +62,19 @@ class Downlink(ManagedNode[DownlinkSettings]):
             depth=1,
         )
         settings = self._parameters_in_force.settings
-        self._books = Spool(Path(settings.spool_path), self._warn_of_spool)
-        self._worker = Worker(settings)
+        self._books = SpoolConsole(Path(settings.spool_path), self._warn_of_spool)
+        self._worker = FeederThread(
+            Path(settings.spool_path), Path(settings.outbox_path), settings.release
+        )
 
     def _steer(self) -> None:
         """Tell the thread what is in force now."""
         if self._worker is None:
             return
         settings = self._parameters_in_force.settings
-        releaser = self._worker.releaser
-        releaser.settings = settings.release
-        releaser.contact = self._active and (settings.always_in_contact or self._contact)
-        self._worker.wake()
+        self._worker.steer(
+            settings.release, self._active and (settings.always_in_contact or self._contact)
+        )
 
     def on_activate(self, state: Any) -> Any:
         """Start releasing."""
@@ -180,13 +116,13 @@ class Downlink(ManagedNode[DownlinkSettings]):
         """Report what is released, what stalls it, and the books of the spool."""
         if self._worker is None or self._books is None:
             return {}
-        releaser = self._worker.releaser
-        while self._worker.troubles:
-            self._warn_of_spool(self._worker.troubles.popleft())
+        for text in self._worker.take_troubles():
+            self._warn_of_spool(text)
+        feeder = self._worker.feeder
         facts = {
-            'contact': str(releaser.contact).lower(),
-            'stalled_by': releaser.stalled_by,
-            'budget_available': f'{releaser.available:.0f}',
+            'contact': str(feeder.is_contact).lower(),
+            'stalled_by': feeder.stalled_by,
+            'budget_available': f'{feeder.available:.0f}',
         }
         try:
             status = self._books.status()

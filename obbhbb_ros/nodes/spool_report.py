@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from obbhbb_ros.spool.spool import Status
+from obbhbb_ros.spool.books import Status
 
 
 def kind_of(text: str) -> str:

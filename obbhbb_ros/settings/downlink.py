@@ -18,7 +18,7 @@ from obbhbb_ros.settings.common import folder_of
 from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.settings.parameters import ParameterGroup
 from obbhbb_ros.settings.parameters import ParameterTable
-from obbhbb_ros.spool.release import ReleaseSettings
+from obbhbb_ros.spool.feeder import ReleaseSettings
 
 _LINK = ParameterGroup(LinkSettings, 'budget.')
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A database in a folder, that survives what happens to it: transactions, damage, deletion.
+A durable SQLite database in a folder: transactions that survive kills, damage and deletion.
 
-Several processes may use it at once. A database that is damaged is left where it is, with a mark,
-and a new one begins. A new one never has the name of an old one: a process that still has the old
-one open would delete the files of the new one.
+Several processes may use it at once. A damaged database stays where it is, with a mark beside it,
+and a new one takes its place. The new one never has the name of an old one: a process that still
+has the old one open would delete the files of the new one.
 """
 
 from __future__ import annotations
@@ -20,49 +20,52 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextlib import suppress
 from pathlib import Path
-from typing import TypeVar
 
+from obbhbb_ros.damaged_sqlite import lossy_text
+from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.files import sync_folder
 
-T = TypeVar('T')
-
 _NAME = re.compile(r'chips_([0-9]+)_[0-9a-f]{6}\.sqlite3')
-# Stands beside a database that is not used any more.
 DAMAGED = '.damaged'
-# Seconds to wait for a process that has it locked, and once that was in vain.
-PATIENCE, _IMPATIENCE = 5.0, 0.05
+"""Suffix of the mark beside a damaged database."""
+# Seconds to wait for a process that holds the lock, and after the first wait in vain.
+_PATIENCE, _IMPATIENCE = 5.0, 0.05
 
 
-class SpoolError(OSError):
+class SpoolError(ObbhbbError, OSError):
     """The spool cannot be used now; the text says why."""
+
+
+class SpoolDamagedError(SpoolError):
+    """The database in use is damaged and set aside; the next transaction begins a new one."""
 
 
 class Catalogue:
     """
-    One process's access to the database of a folder, which it opens when it is first needed.
+    One process's access to the database of a folder; the first transaction opens it.
 
-    It belongs to one thread at a time.
+    Only one thread at a time may use it.
 
     Parameters
     ----------
     folder : Path
-        Where it is; made if it is missing.
+        Folder of the database; created if it is missing.
     schema : str
-        SQL script that makes the tables.
+        SQL script that creates the tables.
     version : int
-        Version of the schema; a database of another one is treated as damaged.
+        Version of the schema; a database of another version is treated as damaged.
     on_trouble : callable
-        Called with a text about everything that an operator should know.
+        Called with a text about everything that an operator should know and no error reports.
     on_open : callable
-        Called with a cursor in a transaction whenever the database is opened, if given.
+        Called with a cursor, in a transaction, whenever a database is opened.
     patience : float
-        Seconds to wait for another process to unlock it; next to none until it is unlocked once
-        that was in vain, so that nothing else is held up each time.
+        Seconds to wait while another process holds the lock. After a wait in vain it is next to
+        none until a transaction succeeds, so that a stuck process does not delay every call.
 
     Attributes
     ----------
     tag : str
-        Six letters and figures that no other database has.
+        Six hexadecimal digits that identify the database in use.
     """
 
     def __init__(
@@ -71,11 +74,11 @@ class Catalogue:
         schema: str,
         version: int,
         on_trouble: Callable[[str], object],
-        on_open: Callable[[sqlite3.Cursor], object] | None = None,
-        patience: float = PATIENCE,
+        on_open: Callable[[sqlite3.Cursor], object] = lambda rows: None,
+        patience: float = _PATIENCE,
     ) -> None:
         self._folder = folder
-        self._patience = self._waits = patience
+        self._patience = self._wait = patience
         self._schema, self._version = schema, version
         self._on_trouble, self._on_open = on_trouble, on_open
         self._database: sqlite3.Connection | None = None
@@ -88,51 +91,49 @@ class Catalogue:
         """Number of damaged databases in the folder."""
         return len(list(self._folder.glob(f'*{DAMAGED}')))
 
-    def run(self, work: Callable[[sqlite3.Cursor], T], writing: bool = False) -> T:
+    @contextmanager
+    def transaction(self, write: bool = False) -> Iterator[sqlite3.Cursor]:
         """
-        Do some work in a transaction, in a new database if the one in use is damaged.
+        Run a `with` block as one transaction.
+
+        At the end of the block all its changes are on disk; after an error nothing has changed.
 
         Parameters
         ----------
-        work : callable
-            Called with a cursor; may be called twice.
-        writing : bool
-            Whether it changes anything.
+        write : bool
+            Whether the block changes anything.
 
-        Returns
-        -------
-        T
-            What the work returns. Its changes are on disk.
+        Yields
+        ------
+        sqlite3.Cursor
+            Cursor for the block.
 
         Raises
         ------
+        SpoolDamagedError
+            If the database is damaged. It is set aside, and the next transaction uses a new one.
         SpoolError
-            If that is not possible. Then nothing has changed.
+            If the database cannot be used now.
         """
         try:
-            try:
-                return self._transact(work, writing)
-            except sqlite3.DatabaseError as error:
-                if not _is_damage(error):
-                    raise
-                self._mark(self._path, error)
-                return self._transact(work, writing)
+            with _transaction(self._current(), write) as rows:
+                yield rows
+            if write:
+                self._set_wait(self._patience)
         except SpoolError:
             raise
         except (sqlite3.Error, OSError) as error:
-            if _is_locked(error):
-                self._wait(_IMPATIENCE)
-            raise SpoolError(f'{self._folder}: {error}') from error
+            raise self._failure(error) from error
 
     def lock(self, name: str) -> bool:
-        """Lock a name as long as the database is open; False if another process has it."""
+        """Lock a name until the database is closed; False if another process holds the lock."""
         lock = _locked(self._folder / f'{name}.lock')
         if lock is not None:
             self._locks.append(lock)
         return lock is not None
 
     def close(self) -> None:
-        """Close the database and let go of the locks."""
+        """Close the database and release the locks."""
         if self._database is not None:
             with suppress(sqlite3.Error):
                 self._database.close()
@@ -141,81 +142,70 @@ class Catalogue:
             os.close(lock)
         self._locks.clear()
 
-    def _transact(self, work: Callable[[sqlite3.Cursor], T], writing: bool) -> T:
-        """Do some work in a transaction."""
+    def _current(self) -> sqlite3.Connection:
+        """Return the connection to the database in use; open it if necessary."""
         if self._database is None or not self._is_current():
             self.close()
             self._open()
         assert self._database is not None
-        with _transaction(self._database, writing) as rows:
-            result = work(rows)
-        if writing:
-            self._wait(self._patience)
-        return result
-
-    def _wait(self, seconds: float) -> None:
-        """Set how long to wait for others from now on."""
-        if seconds != self._waits and self._database is not None:
-            self._database.execute(f'PRAGMA busy_timeout = {1000.0 * seconds:.0f}')
-        self._waits = seconds
+        return self._database
 
     def _is_current(self) -> bool:
-        """Return whether the open file is still there and in use; say so if it is gone."""
+        """Return whether the open file is still there and in use; report it if it is gone."""
         try:
-            same = self._path.stat().st_ino == self._inode
+            is_same = self._path.stat().st_ino == self._inode
         except OSError:
-            same = False
-        if not same:
+            is_same = False
+        if not is_same:
             self._on_trouble(f'{self._path} was deleted or replaced, a new catalogue begins')
-        return same and in_use(self._path)
+        return is_same and is_in_use(self._path)
 
     def _open(self) -> None:
         """Open the database in use, or a new one."""
         if not self._folder.exists():
             self._folder.mkdir(parents=True, exist_ok=True)
             sync_folder(self._folder.parent)
-        with _alone(self._folder / 'open.lock', self._waits):
-            path = self._in_use() or self._new_path()
+        with _exclusive(self._folder / 'open.lock', self._wait):
+            self._path = self._newest_in_use() or self._new_path()
             try:
-                self._database = self._connected(path)
+                self._database = self._connect()
             except sqlite3.DatabaseError as error:
                 if not _is_damage(error):
                     raise
-                self._mark(path, error)
-                path = self._new_path()
-                self._database = self._connected(path)
-        self._path, self._inode = path, path.stat().st_ino
-        self.tag = path.stem.rpartition('_')[2]
-        if self._on_open is not None:
-            try:
-                with _transaction(self._database, writing=True) as rows:
-                    self._on_open(rows)
-            except BaseException:
-                self.close()
-                raise
+                self._on_trouble(self._set_aside(error))
+                self._path = self._new_path()
+                self._database = self._connect()
+        self._inode = self._path.stat().st_ino
+        self.tag = self._path.stem.rpartition('_')[2]
+        try:
+            with _transaction(self._database, write=True) as rows:
+                self._on_open(rows)
+        except BaseException:
+            self.close()
+            raise
 
-    def _connected(self, path: Path) -> sqlite3.Connection:
-        """Open a file; make its tables if it is new."""
+    def _connect(self) -> sqlite3.Connection:
+        """Open the file in use; create its tables if it is new."""
         database = sqlite3.connect(
-            path, timeout=self._waits, isolation_level=None, check_same_thread=False
+            self._path, timeout=self._wait, isolation_level=None, check_same_thread=False
         )
-        # Damaged text is found out where it is used.
+        # Whoever uses a text checks it for damage.
         database.text_factory = lossy_text
         try:
             rows = database.cursor()
-            # Small ones: a page is used again only when all of it is free.
+            # Small pages: a page is used again only when all of it is free.
             rows.execute('PRAGMA page_size = 2048')
             rows.execute('PRAGMA auto_vacuum = INCREMENTAL')
             rows.execute('PRAGMA journal_mode = WAL')
-            # On disk, not only handed to the system, when a transaction ends.
+            # When a transaction ends it is on disk, not only handed to the system.
             rows.execute('PRAGMA synchronous = FULL')
             (version,) = rows.execute('PRAGMA user_version').fetchone()
             if version == 0:
-                with _transaction(database, writing=True) as rows:
+                with _transaction(database, write=True) as rows:
                     for statement in _statements(self._schema):
                         rows.execute(statement)
                     rows.execute(f'PRAGMA user_version = {self._version}')
-                sync_folder(path.parent)
+                sync_folder(self._folder)
             elif version != self._version:
                 raise sqlite3.DatabaseError(f'its version is {version}, not {self._version}')
         except BaseException:
@@ -223,53 +213,69 @@ class Catalogue:
             raise
         return database
 
-    def _in_use(self) -> Path | None:
-        """Find the database in use."""
-        return next((each for each in reversed(files(self._folder)) if in_use(each)), None)
+    def _failure(self, error: Exception) -> SpoolError:
+        """Turn an error into one of ours; set the database aside if the error means damage."""
+        if _is_damage(error):
+            try:
+                return SpoolDamagedError(self._set_aside(error))
+            except OSError as failure:
+                error = failure
+        elif _is_locked(error):
+            self._set_wait(_IMPATIENCE)
+        return SpoolError(f'{self._folder}: {error}')
+
+    def _set_aside(self, error: Exception) -> str:
+        """Mark the database in use as damaged; return a text that says so."""
+        self._path.with_name(self._path.name + DAMAGED).touch()
+        return f'{self._path} is damaged and set aside: {error}'
+
+    def _set_wait(self, seconds: float) -> None:
+        """Set how long to wait for locks from now on."""
+        if seconds != self._wait and self._database is not None:
+            self._database.execute(f'PRAGMA busy_timeout = {1000.0 * seconds:.0f}')
+        self._wait = seconds
+
+    def _newest_in_use(self) -> Path | None:
+        """Return the database in use."""
+        return next(filter(is_in_use, reversed(catalogue_files(self._folder))), None)
 
     def _new_path(self) -> Path:
-        """Make a name that no database had."""
-        number = max(map(_number, files(self._folder)), default=0)
+        """Return a name that no database had."""
+        number = max(map(_number, catalogue_files(self._folder)), default=0)
         return self._folder / f'chips_{number + 1:04d}_{secrets.token_hex(3)}.sqlite3'
 
-    def _mark(self, path: Path, error: Exception) -> None:
-        """Mark a database as damaged, once."""
-        with suppress(FileExistsError):
-            path.with_name(path.name + DAMAGED).touch(exist_ok=False)
-            self._on_trouble(f'{path} is damaged and set aside: {error}')
 
-
-def files(folder: Path) -> list[Path]:
+def catalogue_files(folder: Path) -> list[Path]:
     """List the databases of a folder, the oldest first, damaged ones as well."""
-    found = (each for each in folder.glob('chips_*') if _NAME.fullmatch(each.name))
-    return sorted((each for each in found if each.is_file()), key=_number)
+    paths = (path for path in folder.glob('chips_*') if _NAME.fullmatch(path.name))
+    return sorted((path for path in paths if path.is_file()), key=_number)
 
 
-def lossy_text(content: bytes) -> str:
-    """Read a text, even if it is damaged."""
-    return content.decode(errors='replace')
+def is_in_use(path: Path) -> bool:
+    """Return whether a database is not marked as damaged."""
+    return not path.with_name(path.name + DAMAGED).exists()
 
 
 def _number(path: Path) -> int:
-    """Return which database of its folder it is."""
+    """Return the number of a database within its folder."""
     return int(path.name.split('_')[1])
 
 
-def _is_damage(error: sqlite3.DatabaseError) -> bool:
+def _is_damage(error: Exception) -> bool:
     """Return whether an error means a damaged file; other errors have classes of their own."""
     return type(error) is sqlite3.DatabaseError
 
 
 def _is_locked(error: Exception) -> bool:
-    """Return whether an error means that another process has the database locked."""
+    """Return whether an error means that another process holds the lock."""
     return isinstance(error, sqlite3.OperationalError) and 'locked' in str(error)
 
 
 @contextmanager
-def _transaction(database: sqlite3.Connection, writing: bool) -> Iterator[sqlite3.Cursor]:
-    """Give a cursor; what is done with it is on disk at the end of the block, or not at all."""
+def _transaction(database: sqlite3.Connection, write: bool) -> Iterator[sqlite3.Cursor]:
+    """Commit a `with` block at its end; roll it back after any error."""
     rows = database.cursor()
-    rows.execute('BEGIN IMMEDIATE' if writing else 'BEGIN')
+    rows.execute('BEGIN IMMEDIATE' if write else 'BEGIN')
     try:
         yield rows
         rows.execute('COMMIT')
@@ -291,13 +297,8 @@ def _statements(script: str) -> Iterator[str]:
             statement = ''
 
 
-def in_use(path: Path) -> bool:
-    """Return whether a database is not marked as damaged."""
-    return not path.with_name(path.name + DAMAGED).exists()
-
-
 def _locked(path: Path) -> int | None:
-    """Lock a file until its descriptor is closed, at the end of the process at the latest."""
+    """Lock a file; the lock lasts until the descriptor is closed or the process ends."""
     lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -308,8 +309,8 @@ def _locked(path: Path) -> int | None:
 
 
 @contextmanager
-def _alone(path: Path, patience: float) -> Iterator[None]:
-    """Keep others out of a block; SpoolError if they do not leave it."""
+def _exclusive(path: Path, patience: float) -> Iterator[None]:
+    """Run a `with` block in one process at a time; OperationalError if the wait is too long."""
     deadline = time.monotonic() + patience
     while (lock := _locked(path)) is None:
         if time.monotonic() > deadline:

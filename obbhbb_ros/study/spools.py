@@ -3,27 +3,25 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from obbhbb_ros.downlink.chips import CODECS
-from obbhbb_ros.spool.catalogue import files
-from obbhbb_ros.spool.catalogue import in_use
+from obbhbb_ros.spool.books import Status
+from obbhbb_ros.spool.catalogue import SpoolDamagedError
+from obbhbb_ros.spool.catalogue import catalogue_files
+from obbhbb_ros.spool.catalogue import is_in_use
+from obbhbb_ros.spool.chip_rows import CLAIMED
+from obbhbb_ros.spool.chip_rows import RELEASED
+from obbhbb_ros.spool.chip_rows import WAITING
+from obbhbb_ros.spool.chip_rows import StoredChip
+from obbhbb_ros.spool.chip_rows import describe_intact
+from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.outbox import Outbox
-from obbhbb_ros.spool.spool import CLAIMED
-from obbhbb_ros.spool.spool import RELEASED
-from obbhbb_ros.spool.spool import WAITING
-from obbhbb_ros.spool.spool import Spool
-from obbhbb_ros.spool.spool import Status
-from obbhbb_ros.spool.spool import StoredChip
-from obbhbb_ros.spool.spool import describe_intact
 from obbhbb_ros.study.progress import note
 from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track
@@ -32,58 +30,16 @@ from obbhbb_ros.text_tables import aligned
 STATES = {WAITING: 'waiting', CLAIMED: 'being released', RELEASED: 'in outbox'}
 
 
-@dataclass(frozen=True)
-class Condition:
-    """
-    Which chips of a spool are meant; all conditions must hold.
-
-    Attributes
-    ----------
-    class_ids, ids : sequence of str
-        Classes and ids of chips (empty: any).
-    min_value, max_value : float
-        Bounds of the value, both included.
-    """
-
-    class_ids: Sequence[str] = ()
-    ids: Sequence[str] = ()
-    min_value: float = -math.inf
-    max_value: float = math.inf
-
-    @property
-    def is_any(self) -> bool:
-        """Whether every chip is meant."""
-        return self == Condition()
-
-    def sql(self) -> tuple[str, list[Any]]:
-        """Return the condition as SQL, and its values."""
-        clauses, values = ['value >= ?', 'value <= ?'], [self.min_value, self.max_value]
-        found: list[Any] = list(values)
-        for column, wanted in (('class_id', self.class_ids), ('id', self.ids)):
-            if wanted:
-                clauses.append(f'{column} IN ({", ".join("?" * len(wanted))})')
-                found += wanted
-        return ' AND '.join(clauses), found
-
-    def matches(self, chip: StoredChip) -> bool:
-        """Return whether a chip is meant, as `sql` has it."""
-        return (
-            self.min_value <= chip.value <= self.max_value
-            and (not self.class_ids or chip.class_id in self.class_ids)
-            and (not self.ids or chip.id in self.ids)
-        )
-
-
-def open_spool(folder: Path) -> Spool:
+def open_spool(folder: Path) -> SpoolConsole:
     """Open a spool that exists; ValueError if there is none, OSError if it cannot be listed."""
     if folder.is_dir():
         # A search for files does not tell of an error.
         os.listdir(folder)
-    if not any(map(in_use, files(folder))):
+    if not any(map(is_in_use, catalogue_files(folder))):
         raise ValueError(
             f'{folder} is no spool: it has no file chips_*.sqlite3 that is not set aside'
         )
-    return Spool(folder, note)
+    return SpoolConsole(folder, note)
 
 
 def status_text(status: Status) -> str:
@@ -152,15 +108,17 @@ def _described(chip: StoredChip) -> Mapping[str, Any]:
         return {'id': chip.id, 'value': chip.value, 'damaged': True}
 
 
-def wrong_with(spool: Spool) -> Iterator[str]:
-    """Check structure, books and the file of every chip; tell what is wrong."""
-    yield from spool.integrity()
-    for chip in track(spool.select(), 'checking'):
-        data = spool.data(chip.seq)
-        if data is not None and describe_intact(chip, data) is None:
-            yield f'{chip.id}: its file is damaged'
-    # Last: what came before may have found the catalogue damaged.
-    status = spool.status()
+def wrong_with(console: SpoolConsole) -> Iterator[str]:
+    """Check structure, books and the file of every chip; yield what is wrong."""
+    try:
+        yield from console.integrity()
+        for chip, data in console.files(track(console.select(), 'checking')):
+            if describe_intact(chip, data) is None:
+                yield f'{chip.id}: its file is damaged'
+    except SpoolDamagedError as error:
+        note(str(error))
+    # Last: the checks may have set the catalogue aside.
+    status = console.status()
     if status.balance:
         yield f'the books do not balance: {status.balance} chips are unaccounted for'
     if status.set_aside:
@@ -182,11 +140,3 @@ def export(chips: Iterable[tuple[StoredChip, bytes]], folder: Path) -> int:
         outbox.put(chip.id, CODECS[description['codec']].suffix, data, description, level=0)
         count += 1
     return count
-
-
-def files_of(spool: Spool, chips: Iterable[StoredChip]) -> Iterator[tuple[StoredChip, bytes]]:
-    """Read the files of chips, those apart that are in the outbox already."""
-    for chip in chips:
-        data = spool.data(chip.seq)
-        if data is not None:
-            yield chip, data

@@ -38,13 +38,14 @@ from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.downlink.frame import FrameCut
 from obbhbb_ros.downlink.frame import FrameLink
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.spool.books import Status
+from obbhbb_ros.spool.chip_rows import NewChip
+from obbhbb_ros.spool.feeder import OutboxFeeder
+from obbhbb_ros.spool.feeder import ReleaseSettings
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.outbox import json_bytes
-from obbhbb_ros.spool.release import Releaser
-from obbhbb_ros.spool.release import ReleaseSettings
-from obbhbb_ros.spool.spool import NewChip
-from obbhbb_ros.spool.spool import Spool
-from obbhbb_ros.spool.spool import Status
+from obbhbb_ros.spool.releaser import SpoolReleaser
+from obbhbb_ros.spool.writer import SpoolWriter
 from obbhbb_ros.study.chip_costs import render
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.text_tables import text_table
@@ -231,13 +232,12 @@ class Spooled:
         self._clock = Clock()
         self._outbox = folder / 'outbox'
         self._outbox.mkdir(parents=True)
-        self._spools = {
-            role: Spool(folder / 'spool', self._fail, role) for role in ('writer', 'releaser')
-        }
-        self._releaser = Releaser(
-            self._spools['releaser'],
+        self._writer = SpoolWriter(folder / 'spool', self._fail)
+        self._settings = ReleaseSettings(day.link)
+        self._feeder = OutboxFeeder(
+            SpoolReleaser(folder / 'spool', self._fail),
             Outbox(self._outbox),
-            ReleaseSettings(day.link),
+            self._settings,
             self._fail,
             self._clock,
         )
@@ -246,8 +246,7 @@ class Spooled:
 
     def take(self, planned: Sequence[Planned], contact: bool) -> None:
         """Store a frame."""
-        writer = self._spools['writer']
-        plan = writer.plan(len(planned))
+        ticket = self._writer.plan(len(planned))
 
         def record(chip: EncodedChip) -> NewChip:
             known = planned[chip.index].record
@@ -255,13 +254,13 @@ class Spooled:
 
         frame = run_frame(planned, record=record)
         self._stored += len(planned)
-        writer.store(plan, frame.records, frame.not_recorded, self._max_bytes)
+        self._writer.store(ticket, frame.records, frame.not_recorded, self._max_bytes)
 
     def run(self, until: float, contact: bool) -> None:
         """Release chips, if there is contact, until a time."""
-        self._releaser.contact = contact
+        self._feeder.steer(self._settings, contact)
         while contact and self._clock.now < until:
-            pause = self._releaser.step()
+            pause = self._feeder.step()
             self._collect()
             if pause:
                 self._clock.now += STEP
@@ -269,12 +268,12 @@ class Spooled:
 
     def status(self) -> Status:
         """Read the books of the spool."""
-        return self._spools['writer'].status()
+        return self._writer.status()
 
     def close(self) -> None:
         """Close the spool."""
-        for spool in self._spools.values():
-            spool.close()
+        self._writer.close()
+        self._feeder.close()
 
     def _collect(self) -> None:
         """Take from the outbox what the ground has now."""

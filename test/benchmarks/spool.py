@@ -27,11 +27,12 @@ from spooled import FACTS
 
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import encode
+from obbhbb_ros.spool.chip_rows import NewChip
+from obbhbb_ros.spool.feeder import OutboxFeeder
+from obbhbb_ros.spool.feeder import ReleaseSettings
 from obbhbb_ros.spool.outbox import Outbox
-from obbhbb_ros.spool.release import Releaser
-from obbhbb_ros.spool.release import ReleaseSettings
-from obbhbb_ros.spool.spool import NewChip
-from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.releaser import SpoolReleaser
+from obbhbb_ros.spool.writer import SpoolWriter
 from obbhbb_ros.text_tables import text_table
 
 FRAME = 100
@@ -58,13 +59,13 @@ def encoding() -> list[float]:
     return [seconds(lambda: [encode(chip, codec) for chip in noise]) for _ in range(10)]
 
 
-def storing(spool: Spool, chips: int, max_bytes: float = 0.0) -> list[float]:
+def storing(writer: SpoolWriter, chips: int, max_bytes: float = 0.0) -> list[float]:
     """Measure planning and storing, frame by frame."""
     data = os.urandom(SIZE)
     times = []
     for number in range(chips // FRAME):
         made = [NewChip(random.random(), 'ship', (number, 0), FACTS, data) for _ in range(FRAME)]
-        times.append(seconds(lambda: spool.store(spool.plan(FRAME), made, {}, max_bytes)))  # noqa: B023
+        times.append(seconds(lambda: writer.store(writer.plan(FRAME), made, {}, max_bytes)))  # noqa: B023
     return times
 
 
@@ -96,7 +97,7 @@ def main() -> None:
     random.seed(1)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / 'spool'
-        writer = Spool(folder, print, 'writer')
+        writer = SpoolWriter(folder, print)
         before = memory()
         times = 1e3 * np.array(storing(writer, options.chips))
         grown = memory() - before
@@ -107,20 +108,22 @@ def main() -> None:
         shown: list[Any] = []
         looked = seconds(lambda: shown.append(json.loads(subprocess.check_output(command(folder)))))
         outbox = Noted(Path(name) / 'outbox')
-        releaser = Releaser(Spool(folder, print, 'releaser'), outbox, ReleaseSettings(), print)
-        started = seconds(releaser.step)
-        releaser.contact = True
-        first = seconds(releaser.step)
+        release = ReleaseSettings()
+        feeder = OutboxFeeder(SpoolReleaser(folder, print), outbox, release, print)
+        started = seconds(feeder.step)
+        feeder.steer(release, is_contact=True)
+        first = seconds(feeder.step)
         before = memory()
         until = time.perf_counter() + options.seconds
         released = len(outbox.order)
         while time.perf_counter() < until:
-            releaser.step()
+            feeder.step()
         rate = (len(outbox.order) - released) / options.seconds
         releasing = memory() - before
         assert outbox.order == sorted(outbox.order), 'not in order'
         assert writer.status().balance == 0
         writer.close()
+        feeder.close()
     print(
         text_table(
             (f'{shown[0]["waiting"]} chips of {SIZE} bytes', 'median', 'greatest'),

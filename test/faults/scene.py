@@ -16,15 +16,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from spooled import Clock
 from spooled import database
+from spooled import feeder
 from spooled import in_outbox
 from spooled import new_chip
-from spooled import releaser
 
-from obbhbb_ros.spool.catalogue import files
-from obbhbb_ros.spool.release import ReleaseSettings
-from obbhbb_ros.spool.spool import CLAIMED
-from obbhbb_ros.spool.spool import Spool
-from obbhbb_ros.spool.spool import Status
+from obbhbb_ros.spool.books import Status
+from obbhbb_ros.spool.catalogue import catalogue_files
+from obbhbb_ros.spool.chip_rows import CLAIMED
+from obbhbb_ros.spool.feeder import ReleaseSettings
+from obbhbb_ros.spool.writer import SpoolWriter
 
 PLANNED = 8
 
@@ -42,10 +42,9 @@ class Scene:
         self.ground.mkdir(exist_ok=True)
         self.troubles: list[str] = []
         self.clock = Clock()
-        self.writer = Spool(self.on_board / 'spool', self.troubles.append, 'writer')
-        self.releaser = releaser(
-            self.on_board, self.troubles.append, self.clock, ReleaseSettings(removal=removal)
-        )
+        self.writer = SpoolWriter(self.on_board / 'spool', self.troubles.append)
+        self._settings = ReleaseSettings(removal=removal)
+        self.feeder = feeder(self.on_board, self.troubles.append, self.clock, self._settings)
 
     def play(self) -> None:
         """Plan, store, release, take: frames of 5 and 3 chips, one of which is refused."""
@@ -65,7 +64,7 @@ class Scene:
     def steps(self, number: int) -> None:
         """Release, and let time go by in which the bus is looked after."""
         for _ in range(number):
-            self.releaser.step()
+            self.feeder.step()
             self.clock.now += 100.0
 
     def bus(self) -> None:
@@ -81,7 +80,7 @@ class Scene:
     def claimed(self) -> set[str]:
         """List the chips whose release is not recorded, past the code that is tested."""
         with suppress(sqlite3.OperationalError):
-            if files(self.on_board / 'spool'):
+            if catalogue_files(self.on_board / 'spool'):
                 with database(self.on_board / 'spool') as rows:
                     return {
                         chip_id
@@ -93,14 +92,14 @@ class Scene:
 
     def recover(self, may_come_twice: set[str]) -> Status:
         """Go on after whatever has happened, to the end; AssertionError if anything is amiss."""
-        self.releaser.contact = False
+        self.feeder.steer(self._settings, is_contact=False)
         self.steps(1)
         self.writer.plan(0)
         status = self.writer.status()
         assert status.balance == 0, status
         assert status.in_work == 0, status
         in_outbox(self.on_board / 'outbox')
-        self.releaser.contact = True
+        self.feeder.steer(self._settings, is_contact=True)
         self.steps(2)
         self.bus()
         self.steps(1)
@@ -117,4 +116,4 @@ class Scene:
     def close(self) -> None:
         """Close both."""
         self.writer.close()
-        self.releaser._spool.close()
+        self.feeder.close()

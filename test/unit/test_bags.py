@@ -45,8 +45,7 @@ from rosbags.typesys import get_types_from_msg
 from rosbags.typesys import get_typestore
 
 from obbhbb_ros.bags import replay
-from obbhbb_ros.bags.rescue import _numbers
-from obbhbb_ros.bags.rescue import _unpacked
+from obbhbb_ros.bags.rescue import unpack_chunk
 from obbhbb_ros.bags.topics import OUTPUT_HASH
 from obbhbb_ros.bags.topics import OUTPUT_TYPE
 from obbhbb_ros.cli import main
@@ -542,7 +541,7 @@ def test_of_a_damaged_lz4_chunk_all_before_the_damage_is_read() -> None:
     content = np.random.default_rng(0).integers(0, 4, 200_000).astype(np.uint8).tobytes()
     packed = bytearray(lz4.frame.compress(content, block_size=lz4.frame.BLOCKSIZE_MAX64KB))
     packed[len(packed) * 3 // 4] ^= 0xFF
-    unpacked = _unpacked('lz4', bytes(packed))
+    unpacked = unpack_chunk('lz4', bytes(packed))
     assert 60_000 < len(unpacked) < len(content)
     assert content.startswith(unpacked[:60_000])
 
@@ -728,13 +727,6 @@ def test_messages_between_damaged_places_of_sqlite3_are_kept(
     kept = [each for i, each in enumerate(given) if not any(i in part for part in lost)]
     assert [each for each in messages_of(tmp_path / 'out') if each.topic in TOPICS] == kept
     assert f'{len(given) - len(kept)} messages are missing' in err
-
-
-def test_the_search_for_messages_of_sqlite3_ends_where_nothing_can_be_read() -> None:
-    losses: list[str] = []
-    with closing(sqlite3.connect(':memory:')) as base:
-        assert _numbers(base, 'in.db3', losses.append) == []
-    assert losses == ['in.db3: messages 1 and on are lost: no such table: messages']
 
 
 def first_page_of(path: Path, table: str) -> int:

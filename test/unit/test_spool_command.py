@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from spooled import SpoolUsers
 from spooled import database
 from spooled import in_outbox
 from spooled import new_chip
@@ -16,8 +17,11 @@ from spooled import values_in_outbox
 
 from obbhbb_ros.cli import main
 from obbhbb_ros.spool.catalogue import DAMAGED
-from obbhbb_ros.spool.catalogue import files
-from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.catalogue import catalogue_files
+from obbhbb_ros.spool.chip_rows import CLAIMED
+from obbhbb_ros.spool.chip_rows import WAITING
+from obbhbb_ros.spool.console import SpoolConsole
+from obbhbb_ros.spool.writer import SpoolWriter
 
 ALL = float('inf')
 
@@ -26,28 +30,28 @@ ALL = float('inf')
 def folder(tmp_path):
     """Make a spool: 6 chips waiting, one of them on its way, one in the outbox, one delivered."""
     made = tmp_path / 'spool'
-    spool = Spool(made, print, 'writer')
+    spool = SpoolUsers(made, print)
     chips = [
         new_chip(value, 1500, class_id=class_id)
         for value, class_id in zip(
             (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2), ['tug', 'ship'] * 4, strict=True
         )
     ]
-    spool.store(spool.plan(10), chips, {'outside_image': 2})
-    ids = [chip.id for chip, _ in spool.claim(3, ALL, ALL, 0)[0]]
-    spool.released(ids[:1], delivered=True)
-    spool.released(ids[1:2], delivered=False)
+    spool.writer.store(spool.writer.plan(10), chips, {'outside_image': 2})
+    ids = [chip.id for chip, _ in spool.releaser.claim(3, ALL, ALL, 0).chips]
+    spool.releaser.released(ids[:1], is_delivered=True)
+    spool.releaser.released(ids[1:2], is_delivered=False)
     spool.close()
     return made
 
 
-def values(folder, state=0):
+def values(folder, state=WAITING):
     """List the values of chips in the order of their release."""
-    spool = Spool(folder, print)
-    found = [round(chip.value, 6) for chip in spool.select('state = ?', [state])]
-    assert spool.status().balance == 0
-    spool.close()
-    return found
+    console = SpoolConsole(folder, print)
+    listed = [round(chip.value, 6) for chip in console.select() if chip.state == state]
+    assert console.status().balance == 0
+    console.close()
+    return listed
 
 
 def run(*arguments):
@@ -126,7 +130,7 @@ def test_revalued_chips_have_another_place(folder, capsys, options, message, wai
     assert run(folder, 'revalue', *options) == 0
     assert capsys.readouterr().out == message + '\n'
     assert values(folder) == waiting
-    assert values(folder, 1) == [0.7]
+    assert values(folder, CLAIMED) == [0.7]
 
 
 @pytest.mark.parametrize(
@@ -208,9 +212,9 @@ def test_what_is_wrong_is_told(folder, capsys, damage, words) -> None:
 
 
 def test_letters_that_the_terminal_lacks_are_written_as_numbers(tmp_path) -> None:
-    spool = Spool(tmp_path, print, 'writer')
-    spool.store(spool.plan(1), [new_chip(class_id='b\xe5t')], {})
-    spool.close()
+    writer = SpoolWriter(tmp_path, print)
+    writer.store(writer.plan(1), [new_chip(class_id='b\xe5t')], {})
+    writer.close()
     done = subprocess.run(
         [sys.executable, '-m', 'obbhbb_ros.cli', 'spool', tmp_path],
         check=False,
@@ -260,10 +264,10 @@ def test_exported_chips_stay_in_the_spool(folder, tmp_path, capsys) -> None:
 
 @pytest.mark.parametrize('state', ['whole', 'damaged', 'truncated'])
 def test_the_intact_chips_of_a_damaged_catalogue_are_exported(tmp_path, capsys, state) -> None:
-    spool = Spool(tmp_path / 'spool', print, 'writer')
-    store(spool, [0.01 * i for i in range(60)], 3000)
-    spool.close()
-    (path,) = files(tmp_path / 'spool')
+    writer = SpoolWriter(tmp_path / 'spool', print)
+    store(writer, [0.01 * i for i in range(60)], 3000)
+    writer.close()
+    (path,) = catalogue_files(tmp_path / 'spool')
     path.with_name(path.name + DAMAGED).touch()
     size = path.stat().st_size
     if state == 'damaged':
@@ -277,7 +281,7 @@ def test_the_intact_chips_of_a_damaged_catalogue_are_exported(tmp_path, capsys, 
     assert capsys.readouterr().out == f'{found} chips exported\n'
     low, high = {'whole': (60, 60), 'damaged': (40, 59), 'truncated': (20, 59)}[state]
     assert low <= found <= high
-    assert [Path(each) for each in files(tmp_path / 'spool')] == [path]
+    assert [Path(each) for each in catalogue_files(tmp_path / 'spool')] == [path]
 
 
 @pytest.mark.parametrize(
@@ -293,7 +297,7 @@ def test_the_intact_chips_of_a_damaged_catalogue_are_exported(tmp_path, capsys, 
     ids=str,
 )
 def test_conditions_select_chips_of_a_catalogue(folder, tmp_path, options, exported) -> None:
-    (path,) = files(folder)
+    (path,) = catalogue_files(folder)
     tag = path.stem.rpartition('_')[2]
     out = tmp_path / 'out'
     assert run(path, 'export', '-o', out, *(each.format(tag=tag) for each in options)) == 0
@@ -311,7 +315,7 @@ def test_chips_cannot_be_exported_from_what_is_no_catalogue(tmp_path, capsys, co
 
 
 def test_a_damaged_catalogue_is_told_of(folder, capsys) -> None:
-    (path,) = files(folder)
+    (path,) = catalogue_files(folder)
     path.write_bytes(b'garbage' * 9999)
     assert run(folder) == 0
     output = capsys.readouterr()
@@ -320,7 +324,7 @@ def test_a_damaged_catalogue_is_told_of(folder, capsys) -> None:
 
 
 def test_a_spool_with_a_damaged_catalogue_is_not_in_order(folder, capsys) -> None:
-    (path,) = files(folder)
+    (path,) = catalogue_files(folder)
     path.write_bytes(b'garbage' * 9999)
     for _ in range(2):
         assert run(folder, 'check') == 1
@@ -333,10 +337,10 @@ def test_a_spool_with_a_damaged_catalogue_is_not_in_order(folder, capsys) -> Non
 
 
 def test_a_catalogue_that_cannot_be_opened_is_an_error(tmp_path, capsys) -> None:
-    spool = Spool(tmp_path / 'spool', print, 'writer')
-    store(spool, [0.5])
-    spool.close()
-    (path,) = files(tmp_path / 'spool')
+    writer = SpoolWriter(tmp_path / 'spool', print)
+    store(writer, [0.5])
+    writer.close()
+    (path,) = catalogue_files(tmp_path / 'spool')
     # SQLite cannot make this file, as on a disk that is mounted read-only.
     path.with_name(f'{path.name}-wal').mkdir()
     assert run(path, 'export', '-o', tmp_path / 'out') == 1

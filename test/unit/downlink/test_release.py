@@ -13,43 +13,57 @@ from hypothesis import strategies as st
 from spooled import RELEASE
 from spooled import Clock
 from spooled import database
+from spooled import feeder
 from spooled import in_outbox
 from spooled import new_chip
-from spooled import releaser
 from spooled import store
 from spooled import values_in_outbox
 
 from obbhbb_ros.downlink.budget import BudgetSettings
+from obbhbb_ros.spool.chip_rows import CLAIMED
+from obbhbb_ros.spool.console import SpoolConsole
+from obbhbb_ros.spool.feeder import ReleaseSettings
 from obbhbb_ros.spool.outbox import Outbox
-from obbhbb_ros.spool.release import ReleaseSettings
-from obbhbb_ros.spool.spool import CLAIMED
-from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.releaser import SpoolReleaser
+from obbhbb_ros.spool.writer import SpoolWriter
 
 REMOVAL = ReleaseSettings(removal=True)
 
 
 class Ground:
-    """A writer, a releaser, and what they report."""
+    """A writer, a feeder, an operator, and what they report."""
 
     def __init__(self, folder, settings=RELEASE):
         self.folder, self.troubles, self.clock = folder, [], Clock()
-        self.writer = Spool(folder / 'spool', self.troubles.append, 'writer')
-        self.open(settings)
+        self.settings, self.is_contact = settings, True
+        self.writer = SpoolWriter(folder / 'spool', self.troubles.append)
+        self.console = SpoolConsole(folder / 'spool', self.troubles.append)
+        self.open()
 
-    def open(self, settings):
-        self.releaser = releaser(self.folder, self.troubles.append, self.clock, settings)
+    def open(self):
+        self.feeder = feeder(self.folder, self.troubles.append, self.clock, self.settings)
+        self.is_contact = True
 
     def restart(self):
-        """End the releaser at once, and start another."""
-        self.releaser._spool.close()
-        self.open(self.releaser.settings)
+        """End the feeder at once, and start another."""
+        self.feeder.close()
+        self.open()
 
     def set(self, **changes):
-        self.releaser.settings = replace(self.releaser.settings, **changes)
+        self.settings = replace(self.settings, **changes)
+        self.feeder.steer(self.settings, self.is_contact)
+
+    def set_contact(self, is_contact):
+        self.is_contact = is_contact
+        self.feeder.steer(self.settings, is_contact)
+
+    def claimed(self):
+        """List the ids of claimed chips."""
+        return [chip.id for chip in self.console.select() if chip.state == CLAIMED]
 
     def steps(self, count=1, seconds=0.0):
         for _ in range(count):
-            self.releaser.step()
+            self.feeder.step()
             self.clock.now += seconds
 
     def out(self):
@@ -69,7 +83,8 @@ class Ground:
 
     def close(self):
         self.writer.close()
-        self.releaser._spool.close()
+        self.console.close()
+        self.feeder.close()
 
 
 @pytest.fixture
@@ -81,24 +96,24 @@ def ground(tmp_path):
 
 def test_chips_are_released_with_what_is_known_of_them(ground) -> None:
     ground.writer.store(ground.writer.plan(1), [new_chip(0.9, class_id='Schlepper')], {})
-    (chip,) = ground.writer.select()
+    (chip,) = ground.console.select()
     ground.steps()
     assert in_outbox(ground.folder / 'outbox') == {chip.id: chip.describe()}
     status = ground.status()
     assert status.counts == {'planned': 1, 'released': 1, 'delivered': 1, 'delivered_bytes': 300}
-    assert ground.releaser.stalled_by == ''
+    assert ground.feeder.stalled_by == ''
     ground.steps()
-    assert ground.releaser.stalled_by == 'nothing waits'
+    assert ground.feeder.stalled_by == 'nothing waits'
     assert ground.troubles == []
 
 
 def test_nothing_is_released_without_contact(ground) -> None:
     store(ground.writer, [0.5])
-    ground.releaser.contact = False
+    ground.set_contact(False)
     ground.steps(3)
-    assert ground.releaser.stalled_by == 'no contact'
+    assert ground.feeder.stalled_by == 'no contact'
     assert ground.out() == []
-    ground.releaser.contact = True
+    ground.set_contact(True)
     ground.steps()
     assert ground.out() == [0.5]
 
@@ -178,7 +193,7 @@ def test_the_most_valuable_chip_is_waited_for(ground) -> None:
     ground.writer.store(ground.writer.plan(2), [new_chip(0.9, 3000), new_chip(0.8, 10)], {})
     ground.set(budget=BudgetSettings(bytes_per_second=1000.0, burst=5000.0))
     ground.steps(3)
-    assert ground.releaser.stalled_by == 'link budget'
+    assert ground.feeder.stalled_by == 'link budget'
     assert ground.out() == []
     ground.clock.now += 4.0
     ground.steps()
@@ -188,7 +203,7 @@ def test_the_most_valuable_chip_is_waited_for(ground) -> None:
 def test_a_stalled_step_tells_when_the_next_makes_sense(ground) -> None:
     ground.set(budget=BudgetSettings(bytes_per_second=100_000.0))
     store(ground.writer, [0.5], 1000)
-    pause = ground.releaser.step()
+    pause = ground.feeder.step()
     # File, JSON of 300 to 500 bytes, and 128.
     assert 0.013 < pause < 0.017
     ground.clock.now += pause
@@ -204,7 +219,7 @@ def test_a_chip_beyond_the_burst_stays_and_holds_up_nothing(ground) -> None:
     assert ground.out() == [0.8]
     # Said once.
     text = 'all chips that wait are larger than budget.burst'
-    assert (ground.releaser.stalled_by, ground.troubles) == (text, [text])
+    assert (ground.feeder.stalled_by, ground.troubles) == (text, [text])
     assert ground.status().waiting == 1
 
 
@@ -222,7 +237,7 @@ def in_the_middle(monkeypatch, after, change):
 
 
 CHANGES = {
-    'contact lost': lambda ground: setattr(ground.releaser, 'contact', False),
+    'contact lost': lambda ground: ground.set_contact(False),
     'budget set': lambda ground: ground.set(budget=BudgetSettings(bytes_per_second=5000.0)),
     'outbox limited': lambda ground: ground.set(max_bytes=1.0),
 }
@@ -235,7 +250,7 @@ def test_a_change_in_the_middle_of_a_batch_counts_at_once(ground, monkeypatch, c
     ground.steps()
     assert len(ground.out()) == 3
     # The others are not on their way any more.
-    assert ground.writer.ids(CLAIMED) == []
+    assert ground.claimed() == []
     assert ground.status().waiting == 7
 
 
@@ -305,7 +320,7 @@ def test_removal_is_noticed_without_contact_as_well(tmp_path, contact) -> None:
     store(ground.writer, [0.9])
     ground.steps()
     ground.remove([0.9])
-    ground.releaser.contact = contact
+    ground.set_contact(contact)
     ground.clock.now += 100.0
     ground.steps()
     assert ground.status().counts['delivered'] == 1
@@ -338,9 +353,9 @@ def test_a_full_outbox_keeps_chips_in_the_spool(ground) -> None:
     ground.steps(5, 0.01)
     size = sum(path.stat().st_size for path in (ground.folder / 'outbox').glob('*/*'))
     assert 3000 < size <= 5000
-    assert 'outbox is full' in ground.releaser.stalled_by
+    assert 'outbox is full' in ground.feeder.stalled_by
     # Once, not at every step.
-    assert ground.troubles == [ground.releaser.stalled_by]
+    assert ground.troubles == [ground.feeder.stalled_by]
     # A more valuable one overtakes them.
     store(ground.writer, [9.0])
     ground.remove(ground.out()[:3])
@@ -390,7 +405,7 @@ def killed_after(ground, monkeypatch, puts):
     with monkeypatch.context() as patch:
         patch.setattr(Outbox, 'put', put)
         with pytest.raises(Killed):
-            ground.releaser.step()
+            ground.feeder.step()
     ground.restart()
 
 
@@ -403,7 +418,7 @@ def test_a_release_that_was_not_recorded_is_looked_up(
     ground.steps()
     store(ground.writer, [0.9, 0.8, 0.7])
     killed_after(ground, monkeypatch, 2)
-    assert len(ground.writer.ids(CLAIMED)) == 3
+    assert len(ground.claimed()) == 3
     assert ground.out() == [0.9, 0.8]
     if taken:
         ground.remove([0.9])
@@ -413,7 +428,7 @@ def test_a_release_that_was_not_recorded_is_looked_up(
     assert order == ([0.9, 0.7] if taken else [0.7])
     assert ground.out() == [0.9, 0.8, 0.7]
     assert ground.status().counts['released'] == 3
-    assert ground.writer.ids(CLAIMED) == []
+    assert ground.claimed() == []
     ground.close()
 
 
@@ -422,11 +437,11 @@ def test_unfinished_files_of_an_interrupted_release_are_removed(ground, monkeypa
     ground.steps(0)
     killed_after(ground, monkeypatch, 1)
     (kept,) = in_outbox(ground.folder / 'outbox')
-    lost = next(each for each in ground.writer.ids(CLAIMED) if each != kept)
+    lost = next(chip_id for chip_id in ground.claimed() if chip_id != kept)
     level = ground.folder / 'outbox' / '0'
     (level / f'{lost}.jpg').write_bytes(b'half')
     (level / '.0123abcd.json').write_bytes(b'half')
-    ground.releaser.contact = False
+    ground.set_contact(False)
     ground.steps()
     assert {path.stem for path in level.iterdir()} == {kept}
     assert ground.status().waiting == 1
@@ -453,7 +468,7 @@ def test_a_damaged_chip_is_set_aside_and_holds_up_nothing(ground) -> None:
     assert ground.out() == [0.1 * (len(damages) + 1), 0.0]
     assert ground.status().counts['evicted.damaged'] == len(damages)
     assert len(ground.troubles) == len(damages)
-    assert all('damaged' in each for each in ground.troubles)
+    assert all('damaged' in text for text in ground.troubles)
 
 
 def test_an_outbox_that_cannot_be_written_is_tried_again(ground, monkeypatch) -> None:
@@ -469,15 +484,15 @@ def test_an_outbox_that_cannot_be_written_is_tried_again(ground, monkeypatch) ->
     monkeypatch.setattr(Outbox, 'put', put)
     # What the bus takes at once is not released again, though it was not written down.
     for left in ([0.9], []):
-        assert ground.releaser.step() == 1.0
-        assert 'No space left' in ground.releaser.stalled_by
+        assert ground.feeder.step() == 1.0
+        assert 'No space left' in ground.feeder.stalled_by
         assert ground.out() == left
         ground.remove([0.9])
-    assert ground.troubles == [ground.releaser.stalled_by] * 2
+    assert ground.troubles == [ground.feeder.stalled_by] * 2
     failing.clear()
     ground.steps()
     assert ground.out() == [0.8, 0.7]
-    assert ground.writer.ids(CLAIMED) == []
+    assert ground.claimed() == []
     assert ground.status().counts['released'] == 3
 
 
@@ -487,8 +502,8 @@ def test_what_could_not_be_written_costs_nothing_of_the_budget(ground) -> None:
     store(ground.writer, [0.9, 0.8])
     (ground.folder / 'outbox' / '0').write_text('in the way')
     for _ in range(3):
-        assert ground.releaser.step() == 1.0
-        assert 'Not a directory' in ground.releaser.stalled_by
+        assert ground.feeder.step() == 1.0
+        assert 'Not a directory' in ground.feeder.stalled_by
     (ground.folder / 'outbox' / '0').unlink()
     ground.steps()
     assert ground.out() == [0.9]
@@ -498,11 +513,11 @@ def test_a_record_that_fails_is_made_up_for(ground, monkeypatch) -> None:
     store(ground.writer, [0.9, 0.8])
     with monkeypatch.context() as patch:
 
-        def fail(ids, delivered):
+        def fail(self, ids, is_delivered):
             if ids:
                 raise OSError(errno.EIO, 'Input/output error')
 
-        patch.setattr(ground.releaser._spool, 'released', fail)
+        patch.setattr(SpoolReleaser, 'released', fail)
         ground.steps(3)
     assert len(ground.troubles) == 3
     order = noted_puts(monkeypatch)
@@ -515,7 +530,7 @@ def test_a_second_releaser_releases_nothing(ground) -> None:
     store(ground.writer, [0.9])
     ground.steps()
     store(ground.writer, [0.8])
-    second = releaser(ground.folder, ground.troubles.append)
+    second = feeder(ground.folder, ground.troubles.append)
     assert second.step() == 1.0
     assert 'another process releases' in second.stalled_by
     assert ground.out() == [0.9]
@@ -531,7 +546,7 @@ def test_a_spool_deleted_under_it_is_no_end(ground) -> None:
     ground.steps(2)
     assert ground.out() == [0.7]
     assert ground.status().counts['delivered'] == 1
-    assert any('deleted' in each for each in ground.troubles)
+    assert any('deleted' in text for text in ground.troubles)
 
 
 def swap(outbox, other):
@@ -555,7 +570,7 @@ def test_an_unmounted_outbox_delivers_nothing(tmp_path) -> None:
         ground.clock.now += 100.0
         store(ground.writer, [0.7])
         ground.steps(2, 1.0)
-        assert 'is it mounted?' in ground.releaser.stalled_by
+        assert 'is it mounted?' in ground.feeder.stalled_by
         ground.restart()
     assert ground.status().in_outbox == 2
     assert in_outbox(outbox) == {}
@@ -581,7 +596,7 @@ def test_what_went_into_an_unmounted_outbox_goes_again(tmp_path, restarted) -> N
     store(ground.writer, [0.8])
     ground.steps()
     assert len(in_outbox(outbox)) == 1
-    assert 'is it mounted?' in ground.releaser.stalled_by
+    assert 'is it mounted?' in ground.feeder.stalled_by
     if restarted:
         ground.restart()
     ground.steps(2, 1.0)
@@ -630,7 +645,7 @@ def test_an_outbox_that_vanishes_between_two_looks_is_not_made_anew(ground) -> N
     shutil.rmtree(ground.folder / 'outbox')
     store(ground.writer, [0.8])
     ground.steps(3, 0.01)
-    assert 'outbox is missing; is it mounted?' in ground.releaser.stalled_by
+    assert 'outbox is missing; is it mounted?' in ground.feeder.stalled_by
     assert not (ground.folder / 'outbox').exists()
     assert ground.status().counts['delivered'] == 1
 
@@ -663,14 +678,14 @@ def test_every_chip_comes_down_once(tmp_path_factory, actions) -> None:
         'step': lambda number: ground.steps(number, 1.0),
         'take': take,
         'restart': lambda number: ground.restart(),
-        'contact': lambda number: setattr(ground.releaser, 'contact', bool(number % 2)),
+        'contact': lambda number: ground.set_contact(bool(number % 2)),
         'evict': lambda number: store(ground.writer, [1.0], 9000, 150_000.0),
         'removal': lambda number: ground.set(removal=bool(number % 2)),
     }
     for action, number in actions:
         does[action](number)
         ground.status()
-    ground.releaser.contact = True
+    ground.set_contact(True)
     ground.steps(8, 100.0)
     take(1000)
     ground.steps(2, 100.0)
@@ -701,7 +716,7 @@ def test_a_lost_outbox_can_be_forgotten(ground) -> None:
     ground.steps(2, 2.0)
     assert 'obbhbb spool PATH forget-outbox' in ground.troubles[-1]
     assert ground.status().in_outbox == 2
-    assert ground.writer.forget_outbox() == 2
+    assert ground.console.forget_outbox() == 2
     store(ground.writer, [0.7])
     ground.steps(2, 2.0)
     assert ground.out() == [0.7]
@@ -721,10 +736,10 @@ def test_another_outbox_is_told_though_nothing_waits_in_the_first(ground) -> Non
 
 
 def test_the_budget_that_is_left_is_known_without_contact(ground) -> None:
-    ground.releaser.contact = False
+    ground.set_contact(False)
     ground.set(budget=BudgetSettings(bytes_per_second=100.0))
     ground.clock.now += 0.5
     ground.steps()
     ground.clock.now += 0.5
     ground.steps()
-    assert ground.releaser.available == pytest.approx(50.0)
+    assert ground.feeder.available == pytest.approx(50.0)

@@ -19,9 +19,10 @@ from PIL import Image
 from spooled import store
 
 from obbhbb_ros.cli import main
-from obbhbb_ros.spool.spool import Spool
+from obbhbb_ros.spool.console import ANY_CHIP
+from obbhbb_ros.spool.console import SpoolConsole
+from obbhbb_ros.spool.writer import SpoolWriter
 from obbhbb_ros.study.spools import export
-from obbhbb_ros.study.spools import files_of
 
 pytest.importorskip('jinja2')
 
@@ -289,11 +290,13 @@ def test_chips_of_equal_value_are_in_the_order_of_time_whatever_their_stamps(tmp
 
 @pytest.mark.parametrize(('factor', 'shown'), [(1e308, '1.798e+308'), (-1e308, '-1.798e+308')])
 def test_every_value_that_a_spool_can_give_is_shown(tmp_path, capsys, factor, shown) -> None:
-    spool = Spool(tmp_path / 'spool', print)
-    store(spool, [5.0, 6.0, 7.0])
-    assert spool.revalue('1', [], factor, 0.0) == 3
-    assert export(files_of(spool, spool.select()), tmp_path / 'box') == 3
-    spool.close()
+    writer = SpoolWriter(tmp_path / 'spool', print)
+    store(writer, [5.0, 6.0, 7.0])
+    writer.close()
+    console = SpoolConsole(tmp_path / 'spool', print)
+    assert console.revalue(ANY_CHIP, factor, 0.0) == 3
+    assert export(console.files(console.select()), tmp_path / 'box') == 3
+    console.close()
     assert f' value {shown}' in gallery(tmp_path / 'box').text
     assert 'chips: 3, problems: 0' in capsys.readouterr().out
 

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A chip on its way into the catalogue, and as it comes out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+from typing import NamedTuple
+
+from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.wire.stamp import Stamp
+
+# As `NewChip.row` makes them.
+_ID = re.compile(r'-?[0-9]+_[0-9]{9,10}_[0-9a-f]{6}_[0-9]+')
+
+WAITING, CLAIMED, RELEASED = 0, 1, 2
+"""States of a chip in the catalogue: in the spool, on its way to the outbox, in the outbox."""
+
+
+@dataclass(frozen=True)
+class NewChip:
+    """
+    A chip to store.
+
+    Attributes
+    ----------
+    value : float
+        Value, finite.
+    class_id : str
+        Class of the best detection.
+    stamp : tuple of int
+        Seconds and nanoseconds of the image.
+    facts : mapping of str to value
+        The rest of what its JSON says, besides `id`, `stamp`, `class_id`, `value`, `bytes` and
+        `sha256`.
+    data : bytes
+        The file.
+
+    Raises
+    ------
+    ValueError
+        If the value is not finite.
+    """
+
+    value: float
+    class_id: str
+    stamp: Stamp
+    facts: Mapping[str, Any]
+    data: bytes
+
+    def __post_init__(self) -> None:
+        """Check the value."""
+        if not math.isfinite(self.value):
+            raise ValueError(f'value must be finite, not {self.value}')
+
+    def row(self, seq: int, tag: str) -> tuple[Any, ...]:
+        """Lay out the chip as the fields of `StoredChip` and its file; it waits."""
+        seconds, nanoseconds = self.stamp
+        facts = {
+            'stamp': {'sec': seconds, 'nanosec': nanoseconds},
+            'class_id': self.class_id,
+            **self.facts,
+            'bytes': len(self.data),
+            'sha256': hashlib.sha256(self.data).hexdigest(),
+        }
+        stored = StoredChip(
+            seq=seq,
+            id=f'{seconds}_{nanoseconds:09d}_{tag}_{seq}',
+            state=WAITING,
+            value=self.value,
+            class_id=self.class_id,
+            bytes=len(self.data),
+            facts=json.dumps(facts, ensure_ascii=False),
+        )
+        return (*stored, self.data)
+
+
+class StoredChip(NamedTuple):
+    """A chip of the catalogue; `facts` is JSON without `id` and `value`."""
+
+    seq: int
+    id: str
+    state: int
+    value: float
+    class_id: str
+    bytes: int
+    facts: str
+
+    def describe(self) -> dict[str, Any]:
+        """
+        Return everything that the JSON file of the chip says.
+
+        Raises
+        ------
+        ValueError
+            If the facts are damaged.
+        """
+        return {'id': self.id, 'value': self.value, **json.loads(self.facts)}
+
+
+COLUMNS = ', '.join(StoredChip._fields)
+"""The columns of a `StoredChip`, in their order."""
+
+
+def describe_intact(chip: StoredChip, data: bytes) -> dict[str, Any] | None:
+    """Describe a chip; None if its description or its file, `data`, is damaged."""
+    with suppress(ValueError, KeyError, TypeError):
+        description = chip.describe()
+        is_whole = description['sha256'] == hashlib.sha256(data).hexdigest()
+        # Id and codec make the names of its files.
+        if is_whole and _ID.fullmatch(chip.id) and description['codec'] in CODECS:
+            return description
+    return None

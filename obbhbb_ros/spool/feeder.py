@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+From the spool to the outbox: what is released, when, and when it counts as delivered.
+
+A chip is claimed in the catalogue, written to the outbox, and recorded as released, each on disk
+before the next begins. After any interruption the outbox tells which claimed chips got there.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from dataclasses import field
+from enum import Enum
+from math import inf
+from typing import NamedTuple
+
+from obbhbb_ros.downlink.budget import LinkSettings
+from obbhbb_ros.downlink.budget import TokenBucket
+from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.spool.catalogue import SpoolError
+from obbhbb_ros.spool.chip_rows import StoredChip
+from obbhbb_ros.spool.chip_rows import describe_intact
+from obbhbb_ros.spool.outbox import Contents
+from obbhbb_ros.spool.outbox import Outbox
+from obbhbb_ros.spool.outbox import json_bytes
+from obbhbb_ros.spool.outbox import level_of
+from obbhbb_ros.spool.releaser import Claim
+from obbhbb_ros.spool.releaser import SpoolReleaser
+from obbhbb_ros.spool.releaser import Stall
+
+# Chips to claim at once.
+_BATCH = 16
+# Seconds to wait: with nothing to do, after a failure, and between two looks into the outbox.
+_IDLE, _RETRY, _LOOK = 0.1, 1.0, 1.0
+# Looks into the outbox may take this share of the time.
+_LOOK_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class ReleaseSettings:
+    """
+    How chips are released.
+
+    Attributes
+    ----------
+    budget : LinkSettings
+        Rate, burst and overhead of the link.
+    levels : tuple of float
+        Value thresholds of the priority folders.
+    removal : bool
+        Whether a chip counts as delivered when the bus has removed it from the outbox; if not,
+        when it is in the outbox.
+    max_bytes : float
+        Maximum bytes in the outbox (0: unlimited).
+    """
+
+    budget: LinkSettings = field(default_factory=LinkSettings)
+    levels: tuple[float, ...] = ()
+    removal: bool = False
+    max_bytes: float = 0.0
+
+
+class Phase(Enum):
+    """What a feeder does next: find out what an interruption left behind, or release chips."""
+
+    RECOVER = 'recover'
+    RUN = 'run'
+
+
+class ReleaseBatch(NamedTuple):
+    """Ids of claimed chips: those that are in the outbox, and those that are not."""
+
+    put: list[str]
+    left: list[str]
+
+
+class _Orders(NamedTuple):
+    """What another thread asks for."""
+
+    settings: ReleaseSettings
+    is_contact: bool
+
+
+class OutboxFeeder:
+    """
+    Moves chips from a spool to an outbox, the most valuable first, within the budget.
+
+    One thread calls `step` again and again; any other may call `steer`.
+
+    Parameters
+    ----------
+    spool : SpoolReleaser
+        Where chips wait.
+    outbox : Outbox
+        Where they go.
+    settings : ReleaseSettings
+        How.
+    on_trouble : callable
+        Called with a text about everything that an operator should know.
+    clock : callable
+        Returns the time in seconds.
+
+    Attributes
+    ----------
+    stalled_by : str
+        Why nothing was released in the last step; empty if something was. Read only.
+    available : float
+        Bytes that the link could carry at the last step. Read only.
+    """
+
+    def __init__(
+        self,
+        spool: SpoolReleaser,
+        outbox: Outbox,
+        settings: ReleaseSettings,
+        on_trouble: Callable[[str], object],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.stalled_by = ''
+        self.available = 0.0
+        self._spool, self._outbox = spool, outbox
+        self._on_trouble, self._clock = on_trouble, clock
+        self._orders = _Orders(settings, is_contact=False)
+        self._budget = settings.budget
+        self._bucket = TokenBucket(settings.budget, clock())
+        self._phase = Phase.RECOVER
+        self._batch = ReleaseBatch([], [])
+        self._contents = Contents()
+        self._look_at = 0.0
+
+    @property
+    def is_contact(self) -> bool:
+        """Whether chips may be released."""
+        return self._orders.is_contact
+
+    def steer(self, settings: ReleaseSettings, is_contact: bool) -> None:
+        """
+        Set how chips are released, and whether they may be; counts from the next chip on.
+
+        Any thread may call it at any time.
+        """
+        self._orders = _Orders(settings, is_contact)
+
+    def step(self) -> float:
+        """
+        Release some chips, if there is contact.
+
+        Returns
+        -------
+        float
+            Seconds until the next step makes sense.
+        """
+        # Unless this step ends well, the next one recovers.
+        phase, self._phase = self._phase, Phase.RECOVER
+        try:
+            if phase is Phase.RECOVER:
+                self._recover()
+            self._record()
+            self._look()
+            pause = self._release()
+        except OSError as error:
+            return self._fail(str(error))
+        # Nobody is there to start this thread again.
+        except Exception as error:
+            return self._fail(f'{type(error).__name__}: {error}')
+        self._phase = Phase.RUN
+        return pause
+
+    def close(self) -> None:
+        """Close the spool."""
+        self._spool.close()
+
+    def _fail(self, text: str) -> float:
+        """Report why a step failed; return how long to wait."""
+        self.stalled_by = text
+        self._on_trouble(text)
+        return _RETRY
+
+    def _recover(self) -> None:
+        """Find out which claimed chips have got into the outbox."""
+        self._check_outbox()
+        contents = self._outbox.contents()
+        claimed = set(self._spool.claimed_ids())
+        # The bus may have taken some that were put there before the interruption.
+        put = claimed & contents.complete.union(self._batch.put)
+        self._batch = ReleaseBatch(list(put), list(claimed - put))
+        self._outbox.remove_unfinished(self._batch.left)
+
+    def _check_outbox(self) -> None:
+        """Refuse an outbox that is not the one that chips have gone into; it may be unmounted."""
+        expected, folder = self._spool.outbox(), self._outbox.folder
+        if expected and not folder.exists():
+            raise SpoolError(f'{folder} is missing; is it mounted? Make it if it is to be new')
+        token = self._outbox.token()
+        if token == expected:
+            return
+        if expected and (waiting := len(self._spool.released_ids())):
+            raise SpoolError(
+                f'{folder} is not the outbox into which {waiting} chips were released that have '
+                'not been removed yet; is it mounted? If that one is lost: obbhbb spool PATH '
+                'forget-outbox'
+            )
+        if expected:
+            self._on_trouble(f'{folder} is another outbox than before; is it mounted?')
+        self._spool.set_outbox(token)
+
+    def _record(self) -> None:
+        """Write down what became of the chips of a batch."""
+        put, left = self._batch
+        is_by_removal = self._orders.settings.removal
+        if put and is_by_removal and self._is_replaced():
+            # They are in another folder; what is in the outbox is looked up when it is back.
+            put.clear()
+            raise SpoolError(f'{self._outbox.folder} was replaced; is it mounted?')
+        self._spool.released(put, is_delivered=not is_by_removal)
+        put.clear()
+        self._spool.unclaim(left)
+        left.clear()
+
+    def _is_replaced(self) -> bool:
+        """Return whether another folder, or none, is in place of the outbox."""
+        token = self._spool.outbox()
+        return bool(token) and not (self._outbox.folder.exists() and token == self._outbox.token())
+
+    def _look(self) -> None:
+        """Look into the outbox now and then: for chips that are gone, and for room."""
+        settings, now = self._orders.settings, self._clock()
+        if now < self._look_at:
+            return
+        # A chip that was to be removed is still to be, whatever the settings are now.
+        released = self._spool.released_ids()
+        if not (settings.removal or settings.max_bytes or released):
+            return
+        self._check_outbox()
+        self._contents = self._outbox.contents()
+        # It may have been unmounted while it was read.
+        self._check_outbox()
+        self._spool.delivered([chip_id for chip_id in released if chip_id not in self._contents])
+        done = self._clock()
+        self._look_at = done + max(_LOOK, (done - now) / _LOOK_SHARE)
+
+    def _release(self) -> float:
+        """Claim chips and put them into the outbox as long as that is allowed."""
+        settings = self._refresh()
+        if not self.is_contact:
+            self.stalled_by = 'no contact'
+            return _IDLE
+        overhead = settings.budget.overhead
+        # The overhead is the link's: it takes no room in the outbox.
+        room = self._room_in_outbox(settings) + overhead
+        max_room = (settings.max_bytes or inf) + overhead
+        claim = self._spool.claim(
+            _BATCH, min(self.available, room), min(self._bucket.burst, max_room), overhead
+        )
+        if not claim.chips:
+            return self._stall(claim, room, max_room)
+        self._batch = ReleaseBatch([], [chip.id for chip, _ in claim.chips])
+        for chip, data in claim.chips:
+            if not self._put(chip, data):
+                break
+        self.stalled_by = ''
+        self._record()
+        return 0.0
+
+    def _put(self, chip: StoredChip, data: bytes) -> bool:
+        """Put a claimed chip into the outbox; False if that is not allowed any more."""
+        settings = self._refresh()
+        description = describe_intact(chip, data)
+        if description is None:
+            self._spool.evict_damaged(chip.id)
+            self._batch.left.remove(chip.id)
+            self._on_trouble(f'{chip.id} is damaged in the spool and was set aside')
+            return True
+        size = len(data) + len(json_bytes(description))
+        cost = size + settings.budget.overhead
+        if not self.is_contact or cost > self.available or size > self._room_in_outbox(settings):
+            return False
+        level = level_of(chip.value, settings.levels)
+        suffix = CODECS[description['codec']].suffix
+        self._bucket.spend(cost, self._clock())
+        try:
+            self._outbox.put(chip.id, suffix, data, description, level)
+        except OSError:
+            # A late failure may leave the chip in the outbox all the same.
+            if not self._outbox.holds(chip.id, level):
+                self._bucket.give_back(cost)
+            raise
+        self._contents.bytes += size
+        self._batch.left.remove(chip.id)
+        self._batch.put.append(chip.id)
+        return True
+
+    def _stall(self, claim: Claim, room: float, max_room: float) -> float:
+        """Say why nothing is released; return how long to wait."""
+        if claim.stall is Stall.NOTHING_WAITS:
+            self.stalled_by = Stall.NOTHING_WAITS.value
+            return _IDLE
+        if claim.stall is Stall.ALL_TOO_LARGE:
+            limits = {'budget.burst': self._bucket.burst, 'outbox.max_bytes': max_room}
+            limit = min(limits, key=lambda name: limits[name])
+            self._report_stall(f'all chips that wait are larger than {limit}')
+            # To find that out, all of them have to be read.
+            return _RETRY
+        if claim.missing > room:
+            max_bytes = self._orders.settings.max_bytes
+            self._report_stall(f'outbox is full, outbox.max_bytes is {max_bytes:.0f}')
+            return _IDLE
+        self.stalled_by = 'link budget'
+        # Not longer: the budget may change.
+        return min(_IDLE, (claim.missing - self.available) / self._budget.bytes_per_second)
+
+    def _report_stall(self, text: str) -> None:
+        """Report, once, what an operator has to change before anything is released."""
+        if self.stalled_by != text:
+            self._on_trouble(text)
+        self.stalled_by = text
+
+    def _refresh(self) -> ReleaseSettings:
+        """Bring budget and available bytes up to date; return the settings in force."""
+        settings, now = self._orders.settings, self._clock()
+        if settings.budget != self._budget:
+            self._bucket.change(settings.budget, now)
+            self._budget = settings.budget
+        self.available = self._bucket.available(now)
+        return settings
+
+    def _room_in_outbox(self, settings: ReleaseSettings) -> float:
+        """Return how many more bytes the outbox takes."""
+        return settings.max_bytes - self._contents.bytes if settings.max_bytes else inf

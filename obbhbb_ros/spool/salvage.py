@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Chips of a damaged catalogue: all but those in damaged places."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+from obbhbb_ros.damaged_sqlite import Gap
+from obbhbb_ros.damaged_sqlite import lossy_text
+from obbhbb_ros.damaged_sqlite import rows_around_damage
+from obbhbb_ros.spool.catalogue import SpoolError
+from obbhbb_ros.spool.chip_rows import StoredChip
+from obbhbb_ros.spool.chip_rows import describe_intact
+
+_COLUMNS = (*StoredChip._fields, 'data')
+
+
+def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
+    """
+    Read the intact chips of a catalogue, damaged or not.
+
+    Parameters
+    ----------
+    path : Path
+        The SQLite file.
+
+    Yields
+    ------
+    (StoredChip, bytes)
+        Chips whose file is the one that was stored.
+
+    Raises
+    ------
+    SpoolError
+        If it cannot be opened, is not a catalogue, or no chip of it can be read.
+    """
+    gaps: list[Gap] = []
+    is_empty = True
+    with closing(_connect(path)) as database:
+        _prepare(database, path)
+        for *fields, data in rows_around_damage(database, 'chips', _COLUMNS, gaps.append):
+            is_empty = False
+            chip = StoredChip(*fields)
+            # Damage may have turned a value into a text.
+            is_readable = data is not None and isinstance(chip.value, float)
+            if is_readable and describe_intact(chip, data):
+                yield chip, data
+    if gaps and is_empty:
+        raise SpoolError(f'{path}: no chip can be read: {gaps[0].error}')
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    """Connect to a file for reading; SpoolError if that is not possible."""
+    try:
+        database = sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro', uri=True)
+    except sqlite3.Error as error:
+        raise _not_opened(path, error) from error
+    database.text_factory = lossy_text
+    return database
+
+
+def _prepare(database: sqlite3.Connection, path: Path) -> None:
+    """Open the file of a connection, damaged or not; SpoolError if it is not a catalogue."""
+    try:
+        # With it, SQLite reads a file that has lost its end.
+        database.execute('PRAGMA writable_schema = ON')
+        database.execute('PRAGMA schema_version')
+    except sqlite3.OperationalError as error:
+        raise _not_opened(path, error) from error
+    except sqlite3.DatabaseError:
+        # Damage is found below, and row by row.
+        pass
+    try:
+        database.execute(f'SELECT {", ".join(_COLUMNS)} FROM chips LIMIT 0')
+    except sqlite3.DatabaseError as error:
+        raise SpoolError(
+            f'{path} is no catalogue of a spool, or its start is damaged: {error}'
+        ) from error
+
+
+def _not_opened(path: Path, error: sqlite3.Error) -> SpoolError:
+    """Say that a file cannot be opened, and what helps."""
+    return SpoolError(
+        f'{path}: {error}; it must be readable, and if its disk is read-only, copy all files of '
+        'the same name to another'
+    )

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The writer of a spool: it plans frames and stores their chips."""
+
+from __future__ import annotations
+
+import itertools
+import sqlite3
+from collections import Counter
+from collections.abc import Callable
+from collections.abc import Iterator
+from collections.abc import Mapping
+from collections.abc import Sequence
+from contextlib import contextmanager
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from obbhbb_ros.spool.books import SpoolAccess
+from obbhbb_ros.spool.books import book
+from obbhbb_ros.spool.books import evict
+from obbhbb_ros.spool.catalogue import SpoolDamagedError
+from obbhbb_ros.spool.catalogue import SpoolError
+from obbhbb_ros.spool.chip_rows import COLUMNS
+from obbhbb_ros.spool.chip_rows import WAITING
+from obbhbb_ros.spool.chip_rows import NewChip
+
+# Seconds to wait for another process: a frame may be late by this much.
+_PATIENCE = 0.8
+
+
+class FrameTicket(NamedTuple):
+    """
+    A frame in work.
+
+    Attributes
+    ----------
+    catalogue : str
+        Tag of the catalogue that it was planned in; empty if it could not be written down.
+    number : int
+        Its row there.
+    chips : int
+        How many chips it has.
+    """
+
+    catalogue: str
+    number: int
+    chips: int
+
+    @property
+    def is_planned(self) -> bool:
+        """Whether a catalogue knows of it."""
+        return bool(self.catalogue)
+
+
+class SpoolWriter(SpoolAccess):
+    """
+    Stores chips in a spool; any number of processes may do so at once.
+
+    `plan` and `store` raise nothing: what they cannot write down they report, keep in memory, and
+    write down as soon as that is possible again.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the spool; created if it is missing.
+    on_trouble : callable
+        Called with a text about everything that an operator should know.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> chip = NewChip(0.9, 'ship', (5, 0), {'codec': 'jpeg'}, b'...')
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     writer = SpoolWriter(Path(folder), on_trouble=print)
+    ...     is_stored = writer.store(writer.plan(2), [chip], {'encoder_failed': 1})
+    ...     status = writer.status()
+    ...     writer.close()
+    >>> is_stored, status.waiting, status.counts['planned']
+    (True, 1, 2)
+    >>> status.counts['refused.encoder_failed']
+    1
+    """
+
+    def __init__(self, folder: Path, on_trouble: Callable[[str], object]) -> None:
+        super().__init__(folder, on_trouble, self._take_number, patience=_PATIENCE)
+        self._number = 0
+        # What is still to be written down: frames, and why none of their chips was stored.
+        self._arrears: list[tuple[FrameTicket, Counter[str]]] = []
+
+    def plan(self, chips: int) -> FrameTicket:
+        """Write down that a frame with some chips is in work."""
+        try:
+            with self._transaction() as rows:
+                book(rows, 'planned', chips)
+                rows.execute(
+                    'INSERT INTO frames (writer, chips) VALUES (?, ?)', (self._number, chips)
+                )
+                return FrameTicket(self._catalogue.tag, int(rows.lastrowid or 0), chips)
+        except SpoolError as error:
+            self._on_trouble(str(error))
+            return FrameTicket('', 0, chips)
+
+    def store(
+        self,
+        ticket: FrameTicket,
+        chips: Sequence[NewChip],
+        refused: Mapping[str, int],
+        max_bytes: float = 0.0,
+    ) -> bool:
+        """
+        Store the chips of a frame, and evict the least valuable ones if there is no room.
+
+        Parameters
+        ----------
+        ticket : FrameTicket
+            From `plan`.
+        chips : sequence of NewChip
+            Its chips.
+        refused : mapping of str to int
+            How many of its chips are not stored, by reason; together with `chips` all of them.
+        max_bytes : float
+            Maximum size of the catalogue, bytes (0: unlimited).
+
+        Returns
+        -------
+        bool
+            Whether they are stored; if not, all chips are refused, as `spool_failed`.
+        """
+        try:
+            try:
+                self._store(ticket, chips, refused, max_bytes)
+            except SpoolDamagedError as error:
+                self._on_trouble(str(error))
+                # Into a new catalogue.
+                self._store(ticket, chips, refused, max_bytes)
+            return True
+        except SpoolError as error:
+            self._on_trouble(str(error))
+            self._owe(ticket, Counter(refused) + Counter(spool_failed=len(chips)))
+            return False
+
+    def catch_up(self) -> None:
+        """Write down what could not be written down before, if there is anything."""
+        if self._arrears:
+            with suppress(SpoolError), self._transaction():
+                pass
+
+    def close(self) -> None:
+        """Write down what is left, close the catalogue and release the locks."""
+        self.catch_up()
+        super().close()
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Cursor]:
+        """Begin a transaction with what could not be written down before."""
+        with self._catalogue.transaction(write=True) as rows:
+            for ticket, refused in self._arrears:
+                self._settle(rows, ticket, refused)
+            yield rows
+        self._arrears.clear()
+
+    def _store(
+        self,
+        ticket: FrameTicket,
+        chips: Sequence[NewChip],
+        refused: Mapping[str, int],
+        max_bytes: float,
+    ) -> None:
+        """Settle a frame, insert its chips and make room."""
+        with self._transaction() as rows:
+            self._settle(rows, ticket, refused)
+            (last,) = rows.execute(
+                "SELECT ifnull(max(seq), 0) FROM sqlite_sequence WHERE name = 'chips'"
+            ).fetchone()
+            rows.executemany(
+                f'INSERT INTO chips ({COLUMNS}, data) VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
+                [chip.row(last + 1 + i, self._catalogue.tag) for i, chip in enumerate(chips)],
+            )
+            # Once for all of them: a trigger would take as long as the insertion.
+            rows.execute(
+                'UPDATE totals SET chips = chips + ?, bytes = bytes + ? WHERE state = ?',
+                (len(chips), sum(len(chip.data) for chip in chips), WAITING),
+            )
+            if max_bytes and not evict(rows, max_bytes):
+                self._on_trouble(
+                    f'{self._folder} is larger than spool.max_bytes, {max_bytes:.0f}, and no chip '
+                    'is left to evict; chips are evicted as they come'
+                )
+
+    def _owe(self, ticket: FrameTicket, refused: Counter[str]) -> None:
+        """Remember a frame that could not be settled."""
+        if self._arrears and not ticket.is_planned and not self._arrears[-1][0].is_planned:
+            # One entry for all of them: however long the trouble lasts, memory does not grow.
+            last, last_refused = self._arrears.pop()
+            ticket, refused = (
+                FrameTicket('', 0, last.chips + ticket.chips),
+                refused + last_refused,
+            )
+        self._arrears.append((ticket, refused))
+
+    def _settle(
+        self, rows: sqlite3.Cursor, ticket: FrameTicket, refused: Mapping[str, int]
+    ) -> None:
+        """Close a frame; one that was planned in another catalogue, or in none, is planned here."""
+        if ticket.catalogue != self._catalogue.tag:
+            book(rows, 'planned', ticket.chips)
+        elif not rows.execute('DELETE FROM frames WHERE number = ?', (ticket.number,)).rowcount:
+            # Another writer has closed it, as a frame of a process that had ended.
+            book(rows, 'refused.interrupted', -ticket.chips)
+        for reason, count in refused.items():
+            book(rows, f'refused.{reason}', count)
+
+    def _take_number(self, rows: sqlite3.Cursor) -> None:
+        """Take the first free number of a writer, and refuse the frames of writers that ended."""
+        (last,) = rows.execute('SELECT ifnull(max(writer), 0) FROM frames').fetchone()
+        numbers = []
+        for number in itertools.count():
+            if self._catalogue.lock(f'writer_{number}'):
+                _refuse_interrupted(rows, number)
+                numbers.append(number)
+            if numbers and number >= last:
+                self._number = numbers[0]
+                return
+
+
+def _refuse_interrupted(rows: sqlite3.Cursor, writer: int) -> None:
+    """Close the frames of a writer that ended before it stored them."""
+    (chips,) = rows.execute(
+        'SELECT ifnull(sum(chips), 0) FROM frames WHERE writer = ?', (writer,)
+    ).fetchone()
+    rows.execute('DELETE FROM frames WHERE writer = ?', (writer,))
+    book(rows, 'refused.interrupted', chips)
