@@ -4,14 +4,15 @@ Crop plans: which whole-pixel regions of an image to send, given axis-aligned bo
 
 A region is [x0, x1) x [y0, y1) in whole pixels of the image, pixel i covering [i, i + 1).
 
-A plan is made in three steps: each box becomes a region, overlapping regions are merged where that
-saves pixels, and the most valuable ones are kept within the limits of the frame. No step depends
-on the order of the boxes.
+A plan takes four steps: boxes are selected, each of them becomes a region, overlapping regions are
+merged where that saves pixels, and the most valuable ones are kept within the limits of the frame.
+No step depends on the order of the boxes.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from dataclasses import replace
 from enum import Enum
 from itertools import pairwise
 
@@ -110,15 +111,15 @@ class CropSettings:
                 f'max_size ({self.max_size}) must not be smaller than min_size ({self.min_size})'
             )
         step = max(self.multiple_of, 1)
-        if self.max_size and self._largest < max(self.min_size, step):
+        if self.max_size and self.max_side < max(self.min_size, step):
             raise ValueError(
                 f'max_size ({self.max_size}) leaves no multiple_of ({self.multiple_of}) that '
                 f'reaches min_size ({self.min_size})'
             )
 
     @property
-    def _largest(self) -> float:
-        """The largest side that `max_size` and `multiple_of` allow, pixels."""
+    def max_side(self) -> float:
+        """Maximum side of a region, pixels: a multiple of `multiple_of`, infinite if unlimited."""
         step = max(self.multiple_of, 1)
         return self.max_size // step * step if self.max_size else np.inf
 
@@ -205,58 +206,70 @@ def plan_crops(
     >>> plan.groups()
     [[0, 2], [1]]
     """
-    # One coordinate of all boxes after another, so that everything runs along contiguous memory.
-    boxes = np.ascontiguousarray(xyxy.T)
-    rows = np.arange(len(xyxy))
-    left_out: dict[LeftOut, int] = {}
-    # NaN passes through the maximum and compares as false.
-    if not np.maximum.reduce(np.abs(boxes), axis=None, initial=0.0) < _FARTHEST:
-        rows = np.flatnonzero(np.isfinite(boxes).all(axis=0))
-        left_out[LeftOut.INVALID] = len(xyxy) - len(rows)
-        # Farther out a double does not resolve a pixel; within, no difference overflows.
-        boxes = np.clip(boxes[:, rows], -_FARTHEST, _FARTHEST)
     bounds = np.array((*image_size, *image_size), dtype=np.float64)[:, None]
-    # The box itself must be in the image, not only its padding.
-    inside = np.concatenate((boxes[2:] > 0.0, boxes[:2] < bounds[:2]))
-    if not inside.all():
-        meets = np.logical_and.reduce(inside)
-        rows, boxes = _filtered(meets, LeftOut.OUTSIDE, rows, boxes, left_out)
-    if settings.min_score or min_scores is not None:
-        least = settings.min_score if min_scores is None else min_scores[rows]
-        # NaN is below any minimum but 0.
-        enough = (scores[rows] >= least) | (np.asarray(least) == 0.0)
-        rows, boxes = _filtered(enough, LeftOut.MIN_SCORE, rows, boxes, left_out)
-    if weights is not None:
-        rows, boxes = _filtered(weights[rows] > 0.0, LeftOut.ZERO_WEIGHT, rows, boxes, left_out)
+    selection = _select(xyxy, scores, bounds, settings, weights, min_scores)
+    rows, boxes = selection.rows, selection.boxes
     corners = _regions(boxes, bounds, settings)
     # fmax replaces NaN.
     values = np.fmax(scores[rows] if weights is None else scores[rows] * weights[rows], -np.inf)
     order = _by_value(values, corners, boxes)
-    rows, corners, values = rows[order], corners[:, order], values[order]
-    offsets = np.arange(len(rows) + 1)
+    plan = CropPlan(
+        regions=corners[:, order].T,
+        sources=rows[order],
+        offsets=np.arange(len(rows) + 1),
+        values=values[order],
+        left_out=selection.left_out,
+    )
     if settings.merge_max_size and len(rows) > 1:
-        corners, rows, offsets, values = _merged(corners, values, rows, image_size, settings)
-    too_many = 0 < settings.max_count < corners.shape[1]
-    if too_many or 0 < settings.max_pixels < _pixels(corners).sum():
-        sizes = np.diff(offsets)
-        kept, over = _within_limits(corners, sizes, settings)
-        left_out |= over
-        rows, corners, values = rows[np.repeat(kept, sizes)], corners[:, kept], values[kept]
-        offsets = _offsets(sizes[kept])
-    left_out = {reason: count for reason, count in left_out.items() if count}
-    return CropPlan(corners.T, rows, offsets, values, left_out)
+        plan = _merged(plan, image_size, settings)
+    return _limited(plan, settings)
 
 
-def _filtered(
-    wanted: NDArray[np.bool_],
-    reason: LeftOut,
-    rows: NDArray[np.intp],
-    boxes: FloatArray,
-    left_out: dict[LeftOut, int],
-) -> tuple[NDArray[np.intp], FloatArray]:
-    """Keep the wanted boxes, (4, N), and count the others."""
-    left_out[reason] = len(rows) - int(np.count_nonzero(wanted))
-    return rows[wanted], boxes[:, wanted]
+class _Selection:
+    """The boxes that get a region, as rows and corners (4, N), and how many do not, by reason."""
+
+    def __init__(self, xyxy: FloatArray) -> None:
+        # Each coordinate contiguous, as everything runs along one coordinate of all boxes.
+        self.boxes = np.ascontiguousarray(xyxy.T)
+        self.rows = np.arange(len(xyxy))
+        self.left_out: dict[LeftOut, int] = {}
+
+    def keep(self, wanted: NDArray[np.bool_], reason: LeftOut) -> None:
+        """Keep the wanted boxes, and count the others."""
+        left_out = len(self.rows) - int(np.count_nonzero(wanted))
+        if left_out:
+            self.left_out[reason] = left_out
+            self.rows, self.boxes = self.rows[wanted], self.boxes[:, wanted]
+
+
+def _select(
+    xyxy: FloatArray,
+    scores: FloatArray,
+    bounds: FloatArray,
+    settings: CropSettings,
+    weights: FloatArray | None,
+    min_scores: FloatArray | None,
+) -> _Selection:
+    """Select the boxes that get a region; `bounds` are width, height twice, (4, 1)."""
+    selection = _Selection(xyxy)
+    # NaN passes through the maximum and compares as false.
+    if not np.maximum.reduce(np.abs(selection.boxes), axis=None, initial=0.0) < _FARTHEST:
+        selection.keep(np.isfinite(selection.boxes).all(axis=0), LeftOut.INVALID)
+        # Farther out a double does not resolve a pixel; within, no difference overflows.
+        selection.boxes = np.clip(selection.boxes, -_FARTHEST, _FARTHEST)
+    # The box itself must be in the image, not only its padding.
+    low, high = selection.boxes[:2], selection.boxes[2:]
+    inside = np.concatenate((high > 0.0, low < bounds[:2]))
+    if not inside.all():
+        selection.keep(np.logical_and.reduce(inside), LeftOut.OUTSIDE)
+    if settings.min_score or min_scores is not None:
+        minimum = settings.min_score if min_scores is None else min_scores[selection.rows]
+        # NaN is below any minimum but 0.
+        enough = (scores[selection.rows] >= minimum) | (np.asarray(minimum) == 0.0)
+        selection.keep(enough, LeftOut.MIN_SCORE)
+    if weights is not None:
+        selection.keep(weights[selection.rows] > 0.0, LeftOut.ZERO_WEIGHT)
+    return selection
 
 
 def _by_value(
@@ -271,60 +284,74 @@ def _by_value(
     return np.lexsort((*unrounded, *corners[::-1], -values))
 
 
-def _merged(
-    corners: NDArray[np.int64],
-    values: FloatArray,
-    rows: NDArray[np.intp],
-    image_size: tuple[int, int],
-    settings: CropSettings,
-) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.intp], FloatArray]:
-    """Merge regions in descending value; return corners, sources, offsets, values of the plan."""
+def _merged(plan: CropPlan, image_size: tuple[int, int], settings: CropSettings) -> CropPlan:
+    """Merge the regions of a plan in which each has one box."""
     bounds = np.array(image_size, dtype=np.float64)[:, None]
 
     def fit(low: Pixels, high: Pixels) -> tuple[Pixels, Pixels]:
         fitted = _fit_sizes(low.astype(float), high.astype(float), bounds, settings)
         return fitted[0].astype(low.dtype), fitted[1].astype(low.dtype)
 
-    limit = min(settings.merge_max_size, settings._largest)
+    max_side = min(settings.merge_max_size, settings.max_side)
     merged, group_of = merge_regions(
-        corners, MergeRules(limit, settings.multiple_of, image_size, fit)
+        plan.regions.T, MergeRules(max_side, settings.multiple_of, image_size, fit)
     )
     groups = merged.shape[1]
-    if groups == len(rows):
-        return corners, rows, np.arange(groups + 1), values
+    if groups == len(plan.regions):
+        return plan
     # A box without a score counts only if its whole region has none.
-    known = values > -np.inf
-    counts = np.bincount(group_of[known], minlength=groups)
-    sums = np.bincount(group_of[known], values[known], groups)
-    totals: FloatArray = np.where(counts > 0, sums, -np.inf)
-    order = _by_value(totals, merged)
+    has_score = plan.values > -np.inf
+    scored = group_of[has_score]
+    sums = np.bincount(scored, plan.values[has_score], groups)
+    values: FloatArray = np.where(np.bincount(scored, minlength=groups) > 0, sums, -np.inf)
+    order = _by_value(values, merged)
     rank = np.argsort(order)[group_of]
-    members = np.argsort(rank, kind='stable')
-    return merged[:, order], rows[members], _offsets(np.bincount(rank)), totals[order]
+    return replace(
+        plan,
+        regions=merged[:, order].T,
+        sources=plan.sources[np.argsort(rank, kind='stable')],
+        offsets=_offsets(np.bincount(rank)),
+        values=values[order],
+    )
 
 
-def _within_limits(
-    corners: NDArray[np.int64], sizes: NDArray[np.intp], settings: CropSettings
-) -> tuple[NDArray[np.bool_], dict[LeftOut, int]]:
-    """Select regions in order up to the limits of a frame, and count the boxes of the others."""
-    kept = np.zeros(len(sizes), np.bool_)
-    count, left = settings.max_count or len(sizes), settings.max_pixels or np.inf
-    pixels = _pixels(corners).tolist()
-    index = 0
-    while index < len(sizes) and count:
-        if pixels[index] <= left:
-            kept[index] = True
-            count -= 1
-            left -= pixels[index]
-        index += 1
-    return kept, {
-        LeftOut.MAX_PIXELS: int(sizes[:index][~kept[:index]].sum()),
-        LeftOut.MAX_COUNT: int(sizes[index:].sum()),
+def _limited(plan: CropPlan, settings: CropSettings) -> CropPlan:
+    """Keep the regions, in order of value, that are within the limits of a frame."""
+    is_too_many = 0 < settings.max_count < len(plan.regions)
+    if not is_too_many and not 0 < settings.max_pixels < plan.pixels:
+        return plan
+    kept, end = _within_limits(_pixels(plan.regions.T).tolist(), settings)
+    sizes = np.diff(plan.offsets)
+    over = {
+        LeftOut.MAX_PIXELS: int(sizes[:end][~kept[:end]].sum()),
+        LeftOut.MAX_COUNT: int(sizes[end:].sum()),
     }
+    return CropPlan(
+        regions=plan.regions.T[:, kept].T,
+        sources=plan.sources[np.repeat(kept, sizes)],
+        offsets=_offsets(sizes[kept]),
+        values=plan.values[kept],
+        left_out=plan.left_out | {reason: count for reason, count in over.items() if count},
+    )
+
+
+def _within_limits(pixels: list[int], settings: CropSettings) -> tuple[NDArray[np.bool_], int]:
+    """Select regions up to the limits; also return the index at which the count is reached."""
+    kept = np.zeros(len(pixels), np.bool_)
+    count_left = settings.max_count or len(pixels)
+    pixels_left = settings.max_pixels or np.inf
+    for index, size in enumerate(pixels):
+        if not count_left:
+            return kept, index
+        if size <= pixels_left:
+            kept[index] = True
+            count_left -= 1
+            pixels_left -= size
+    return kept, len(pixels)
 
 
 def _offsets(sizes: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return where groups of these sizes start and end."""
+    """Return the starts of groups of these sizes, and the end of the last, (M + 1,)."""
     return np.concatenate(([0], np.cumsum(sizes)))
 
 
@@ -335,7 +362,7 @@ def _pixels(corners: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _regions(boxes: FloatArray, bounds: FloatArray, settings: CropSettings) -> NDArray[np.int64]:
-    """Pad, clip to the image, round outwards and fit to size; all (4, N), `bounds` (4, 1)."""
+    """Pad boxes, clip them to the image, round them outwards and fit their size; all (4, N)."""
     if settings.padding or settings.padding_px:
         margin = settings.padding * (boxes[2:] - boxes[:2]) + settings.padding_px
         boxes = np.concatenate((boxes[:2] - margin, boxes[2:] + margin))
@@ -353,18 +380,18 @@ def _fit_sizes(
     low: FloatArray, high: FloatArray, bounds: FloatArray, settings: CropSettings
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Change sides about their centre to a size that the settings allow, inside the image.
+    Change the sides of regions about their centres to what the settings allow.
 
-    All are (2, N), whole numbers from 0 to `bounds`.
+    `low` and `high` are (2, N), whole numbers from 0 to `bounds`, (2, 1), and so are the results.
     """
-    given = high - low
-    size = np.maximum(given, max(settings.min_size, 1))
+    sides = high - low
+    size = np.maximum(sides, max(settings.min_size, 1))
     if settings.multiple_of > 1:
         size = np.ceil(size / settings.multiple_of) * settings.multiple_of
     if settings.max_size:
-        size = np.minimum(size, settings._largest)
+        size = np.minimum(size, settings.max_side)
     size = np.minimum(size, bounds)
-    unchanged = size == given
+    unchanged = size == sides
     if unchanged.all():
         return low, high
     fitted = np.where(unchanged, low, np.floor((low + high - size) / 2.0))

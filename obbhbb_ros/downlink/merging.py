@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Merging of regions: two become one if the region around both has fewer pixels than the two together.
+Merging of crop regions: two become one if the region around both has fewer pixels than the two.
 
-Regions are merged in rounds. In each round every region finds the partner with which it saves the
-most pixels; then, in descending saving, pairs are merged whose regions are not yet part of another
-pair, and every region inside another one is merged into it. Later rounds search again only where
-something changed. In crowds the first rounds search only the nearest regions in x, which thins
-them out at little cost. At the end no two regions are left that would save pixels by merging.
+Merging runs in rounds, over regions sorted by x0, y0, x1, y1. Each round has two steps:
+
+1. Every region finds its partner: the region with which it saves the most pixels. Only regions
+   that changed in the round before, or whose partner did, search again.
+2. Pairs are merged in descending saving, each region with one partner per round. A region inside
+   another one is always merged into it.
+
+In crowds, the first rounds search only the nearest regions in x, which cheaply thins them out.
+Rounds end when no two regions are left that would save pixels by merging.
 """
 
 from __future__ import annotations
@@ -35,8 +39,8 @@ class MergeRules:
 
     Attributes
     ----------
-    limit : float
-        Maximum side; does not apply inside another region, where nothing grows.
+    max_side : float
+        Maximum side of a merged region. A region inside another one is merged whatever the side.
     step : int
         Sides are rounded up to multiples of this.
     bounds : tuple of int
@@ -45,7 +49,7 @@ class MergeRules:
         Turns lower and upper corners, (2, N) each, into those of regions of such sizes.
     """
 
-    limit: float
+    max_side: float
     step: int
     bounds: tuple[int, int]
     fit: Callable[[Pixels, Pixels], tuple[Pixels, Pixels]]
@@ -63,7 +67,7 @@ def merge_regions(
 
     Examples
     --------
-    >>> rules = MergeRules(limit=100, step=1, bounds=(640, 480), fit=lambda low, high: (low, high))
+    >>> rules = MergeRules(100, step=1, bounds=(640, 480), fit=lambda low, high: (low, high))
     >>> merged, group_of = merge_regions(np.array([[0, 2], [0, 0], [20, 24], [10, 10]]), rules)
     >>> merged.T.tolist(), group_of.tolist()
     ([[0, 0, 24, 10]], [0, 0])
@@ -96,7 +100,22 @@ def _in_order(corners: Pixels) -> IntArray:
 
 
 class _Round:
-    """The regions of a round, sorted by x0, y0, x1, y1, with the best partner known of each."""
+    """
+    The regions of a round, sorted by x0, y0, x1, y1.
+
+    Attributes
+    ----------
+    corners : ndarray, shape (4, N)
+        x0, y0, x1, y1, pixels.
+    area : ndarray, shape (N,)
+        Pixels of each region.
+    partner : ndarray of int, shape (N,)
+        Index of the best partner found so far, or -1.
+    saving : ndarray, shape (N,)
+        Pixels saved by merging with it.
+    stale : ndarray of bool, shape (N,)
+        Which regions must search for a partner.
+    """
 
     def __init__(self, corners: Pixels) -> None:
         self.corners = np.ascontiguousarray(corners)
@@ -108,9 +127,9 @@ class _Round:
 
 def _find_partners(regions: _Round, rules: MergeRules, reach: int) -> bool:
     """
-    Find the best partner of each stale region, and whether one is better for any other region.
+    Find the best partner of each stale region, and update the others where it is better for them.
 
-    The search covers about `reach` places to each side. Return whether this covers all overlaps.
+    The search covers about `reach` neighbours on each side. Returns whether that is all overlaps.
     """
     stale = np.flatnonzero(regions.stale)
     complete = True
@@ -138,7 +157,7 @@ def _find_partners(regions: _Round, rules: MergeRules, reach: int) -> bool:
 
 
 def _savings(regions: _Round, rows: IntArray, columns: slice, rules: MergeRules) -> Pixels:
-    """Compute the pixels saved by merging each row with each column; 0 if not allowed."""
+    """Compute the pixels saved by merging rows with columns, (R, C); at most 0 if not allowed."""
     sides = []
     fits: NDArray[np.bool_] | None = None
     for axis in (0, 1):
@@ -150,21 +169,21 @@ def _savings(regions: _Round, rows: IntArray, columns: slice, rules: MergeRules)
             side //= rules.step
             side *= rules.step
             np.minimum(side, rules.bounds[axis], out=side)
-        if rules.limit < rules.bounds[axis]:
-            short = side <= rules.limit
+        if rules.max_side < rules.bounds[axis]:
+            short = side <= rules.max_side
             fits = short if fits is None else fits & short
         sides.append(side)
     area = sides[0] * sides[1]
-    mine, theirs = regions.area[rows, None], regions.area[columns]
-    saving = mine + theirs
+    row_areas, column_areas = regions.area[rows, None], regions.area[columns]
+    saving = row_areas + column_areas
     saving -= area
     if fits is not None:
-        saving *= fits | (area == np.maximum(mine, theirs))
+        saving *= fits | (area == np.maximum(row_areas, column_areas))
     return saving
 
 
 def _keep_better(regions: _Round, rows: IntArray, partner: IntArray, saving: Pixels) -> None:
-    """Keep the better of the known partner and a new one for some regions."""
+    """Take a new partner for some regions where it saves more than the one so far."""
     better = saving > regions.saving[rows]
     chosen = rows[better]
     regions.partner[chosen] = partner[better]
@@ -172,7 +191,7 @@ def _keep_better(regions: _Round, rows: IntArray, partner: IntArray, saving: Pix
 
 
 def _group(regions: _Round) -> IntArray:
-    """Choose what to merge: for each region, the first region of its group, (N,)."""
+    """Choose what to merge: return, for each region, the first region of its group, (N,)."""
     root = list(range(len(regions.area)))
     paired = np.flatnonzero(regions.partner != _NO_PARTNER)
     paired = paired[np.argsort(-regions.saving[paired], kind='stable')]
@@ -193,16 +212,16 @@ def _group(regions: _Round) -> IntArray:
     return roots
 
 
-def _find_root(root: list[int], each: int) -> int:
+def _find_root(root: list[int], region: int) -> int:
     """Find the first region of a group, shortening the path (union-find)."""
-    while root[each] != each:
-        root[each] = root[root[each]]
-        each = root[each]
-    return each
+    while root[region] != region:
+        root[region] = root[root[region]]
+        region = root[region]
+    return region
 
 
 def _merge(regions: _Round, root: IntArray, rules: MergeRules) -> tuple[_Round, IntArray]:
-    """Merge into the regions of the next round; also return the new index of each region, (N,)."""
+    """Merge groups; return the next round, and the new index of each region, (N,)."""
     order = np.argsort(root, kind='stable')
     starts = np.flatnonzero(np.diff(root[order], prepend=-1))
     sizes = np.diff(starts, append=len(root))
@@ -217,11 +236,12 @@ def _merge(regions: _Round, root: IntArray, rules: MergeRules) -> tuple[_Round, 
     first_of = order[starts][sorting]
     merged = _Round(corners[:, sorting])
     grown = changed[sorting]
-    known = regions.partner[first_of]
+    partner = regions.partner[first_of]
+    has_partner = partner != _NO_PARTNER
     # A changed partner may have become better or worse.
-    moved = (known != _NO_PARTNER) & grown[new_index[known]]
+    moved = has_partner & grown[new_index[partner]]
     merged.stale = grown | moved
-    keep = ~merged.stale & (known != _NO_PARTNER)
-    merged.partner[keep] = new_index[known[keep]]
+    keep = ~merged.stale & has_partner
+    merged.partner[keep] = new_index[partner[keep]]
     merged.saving[keep] = regions.saving[first_of][keep]
     return merged, new_index
