@@ -28,6 +28,11 @@ Region = tuple[int, int, int, int]
 """x0, y0, x1, y1 in whole pixels, upper ends exclusive."""
 
 
+# Of `to_8_bits`: pixels sampled on each side, and percent that become black or white.
+_MAX_SAMPLES = 256
+_CLIPPED = 0.5
+
+
 class Dropped(str, Enum):
     """Why a region of a frame became no chip, or the chip was not sent."""
 
@@ -226,6 +231,30 @@ def cut(view: NDArray[Any], region: Region, layout: PixelFormat) -> NDArray[Any]
     if layout.channels != tuple(range(len(layout.channels))):
         chip = chip[..., layout.channels]
     return np.ascontiguousarray(chip, view.dtype.newbyteorder('='))
+
+
+def to_8_bits(pixels: NDArray[Any]) -> NDArray[np.uint8]:
+    """
+    Stretch 16-bit pixels to 8 bits for display.
+
+    The darkest and the brightest half percent of a sample of the pixels become black and white.
+
+    Parameters
+    ----------
+    pixels : ndarray of int, shape (height, width) or (height, width, channels)
+        Values from 0 to 65535.
+
+    Examples
+    --------
+    >>> to_8_bits(np.array([[100, 150, 200]], np.uint16)).tolist()
+    [[0, 128, 255]]
+    """
+    height, width = pixels.shape[:2]
+    sample = pixels[:: -(-height // _MAX_SAMPLES), :: -(-width // _MAX_SAMPLES)]
+    low, high = np.percentile(sample, (_CLIPPED, 100.0 - _CLIPPED))
+    steps = (np.arange(2**16) - low) * (255.0 / max(high - low, 1.0))
+    table: NDArray[np.uint8] = np.clip(np.round(steps), 0, 255).astype(np.uint8)
+    return table[pixels]
 
 
 def encode(pixels: NDArray[Any], settings: CodecSettings) -> bytes:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was found in an image, drawn over it: what belongs together, pictures and markers."""
+"""Detections, boxes and crop regions drawn over their image: pictures and markers."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-An image with what was found in it drawn over it: arrays in, JPEG out. No ROS in here.
+Drawing of boxes and labels over an image: arrays in, JPEG out. No ROS in here.
 
-Lines and text scale with the picture. Each box has a light rim and each text a background, so that
-they can be told from sea, quay and snow. Drawing requires Pillow.
+Lines and text scale with the picture. Boxes have a light rim and labels a background, so that they
+stand out from sea, quay and snow. Drawing requires Pillow.
 """
 
 from __future__ import annotations
@@ -21,24 +21,27 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
 from obbhbb_ros.downlink.chips import ChipError
+from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.downlink.chips import view_of
+from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.limits import Range
 from obbhbb_ros.limits import check_settings
 from obbhbb_ros.limits import setting
 from obbhbb_ros.wire.image import WireImage
 
-# Of the picture's mean side: what is legible when the whole of it is on a screen.
+# Ratios of the picture's mean side to line width and text size: legible with the whole picture on
+# one screen.
 _SIDES_PER_LINE = 550.0
 _SIDES_PER_TEXT = 64.0
-_SMALLEST_TEXT = 10
+_MIN_TEXT_SIZE = 10
 # Scores from here on are written with an exponent.
-_LONGEST_SCORE = 1000.0
-# Labels that are tried; there is no room for as many.
-_MOST_LABELS = 2000
-# Of a JPEG, pixels.
-_LONGEST_SIDE = 65_500
-_LONGEST_TEXT = 24
+_MAX_PLAIN_SCORE = 1000.0
+# Labels that are tried; no picture has room for that many.
+_MAX_LABELS = 2000
+# Maximum side of a JPEG, pixels.
+_MAX_SIDE = 65_500
+_MAX_TEXT_LENGTH = 24
 _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 # Pillow's names of pixels in memory.
 _RAW_MODES = {
@@ -47,16 +50,14 @@ _RAW_MODES = {
     'rgba8': 'RGBX',
     'bgra8': 'BGRX',
 }
-# Pixels of a picture that its brightness is taken from, on each side.
-_SAMPLES = 256
-_TEXTS_KEPT = 256
+_MAX_CACHED_TEXTS = 256
 
 Color: TypeAlias = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
 
 
-class OverlayError(ValueError):
-    """An image that cannot be drawn on; the message says why."""
+class OverlayError(ObbhbbError, ValueError):
+    """No picture can be drawn of an image; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ class Style:
     def text_size_for(self, size: tuple[int, int]) -> int:
         """Return the text size of a picture of `size`, pixels."""
         suitable = round(math.sqrt(size[0] * size[1]) / _SIDES_PER_TEXT)
-        return self.text_size or max(_SMALLEST_TEXT, suitable)
+        return self.text_size or max(_MIN_TEXT_SIZE, suitable)
 
 
 @dataclass(frozen=True)
@@ -103,8 +104,8 @@ class Layer:
     color : str
         '#rrggbb'.
     corners : ndarray, shape (N, 4, 2)
-        Corners in order around each box, pixels of the image; boxes with others than finite numbers
-        are not drawn.
+        Corners in order around each box, pixels of the image. Boxes with a NaN or
+        infinite corner are not drawn.
     """
 
     color: str
@@ -125,7 +126,7 @@ class Labels:
     texts : sequence of str
         N texts; an empty one is not written.
     scores : ndarray, shape (N,)
-        Where there is not room for all texts, those of the best scores are written.
+        If there is not room for all texts, those of the best scores are written.
     """
 
     color: str
@@ -136,7 +137,7 @@ class Labels:
 
 @dataclass(frozen=True)
 class Picture:
-    """A JPEG file, and how many labels had no room in it."""
+    """A JPEG file, and the number of labels for which it had no room."""
 
     data: bytes
     labels_left_out: int
@@ -144,7 +145,7 @@ class Picture:
 
 def label_text(class_id: str, score: float) -> str:
     """
-    Write class and score, what there is of them, in one short line.
+    Write class and score in one short line; an empty class or a NaN score is left out.
 
     Examples
     --------
@@ -153,10 +154,10 @@ def label_text(class_id: str, score: float) -> str:
     >>> label_text('', 1e308)
     '1e+308'
     """
-    shown = ''.join(each if each.isprintable() else '?' for each in class_id[: _LONGEST_TEXT + 1])
-    if len(shown) > _LONGEST_TEXT:
-        shown = shown[: _LONGEST_TEXT - 1] + '…'
-    number = f'{score:.2f}' if abs(score) < _LONGEST_SCORE else f'{score:.3g}'
+    shown = ''.join(c if c.isprintable() else '?' for c in class_id[: _MAX_TEXT_LENGTH + 1])
+    if len(shown) > _MAX_TEXT_LENGTH:
+        shown = shown[: _MAX_TEXT_LENGTH - 1] + '…'
+    number = f'{score:.2f}' if abs(score) < _MAX_PLAIN_SCORE else f'{score:.3g}'
     return ' '.join(filter(None, (shown, '' if math.isnan(score) else number)))
 
 
@@ -172,14 +173,14 @@ def lines(corners: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (4 K, 2, 2)
-        Both ends of each edge of the K boxes that are finite.
+        Both ends of all edges of the K boxes that are finite.
     """
     finite = corners[_finite(corners)]
     return np.stack((finite, np.roll(finite, -1, axis=1)), axis=2).reshape(-1, 2, 2)
 
 
 def _finite(points: FloatArray) -> NDArray[np.bool_]:
-    """Tell which rows of points, (N, K, 2), are finite."""
+    """Return which rows of points, (N, K, 2), are finite."""
     return np.logical_and.reduce(np.isfinite(points), axis=(1, 2))
 
 
@@ -190,8 +191,8 @@ def draw(image: WireImage, layers: Sequence[Layer], labels: Labels | None, style
     Parameters
     ----------
     image : WireImage
-        The image, of an encoding of `obbhbb_ros.downlink.chips.PIXEL_FORMATS`. 16 bits are
-        stretched to what the picture uses of them; a Bayer mosaic is shown as grey.
+        The image, with an encoding of `obbhbb_ros.downlink.chips.PIXEL_FORMATS`. 16 bits are
+        stretched by `to_8_bits`; a Bayer mosaic is shown as grey.
     layers : sequence of Layer
         The boxes, the first below the others.
     labels : Labels, optional
@@ -207,7 +208,8 @@ def draw(image: WireImage, layers: Sequence[Layer], labels: Labels | None, style
     Raises
     ------
     OverlayError
-        If the image is of another encoding, contradicts itself, or is too large for a JPEG.
+        If the image has another encoding, its size and data do not match, or it is too large for a
+        JPEG.
     """
     from PIL import ImageDraw
 
@@ -234,43 +236,35 @@ def picture_of(image: WireImage, scale: float = 1.0) -> Any:
     """
     Show an image as a Pillow image of mode RGB.
 
-    Raises OverlayError if it is of an unknown encoding or contradicts itself.
+    Raises OverlayError if its encoding is not supported or its size and data do not match.
     """
     from PIL import Image
 
     layout = PIXEL_FORMATS.get(image.encoding)
     if layout is None:
-        known = ', '.join(PIXEL_FORMATS)
-        raise OverlayError(f'images of encoding {image.encoding!r} cannot be shown, only {known}')
+        supported = ', '.join(PIXEL_FORMATS)
+        raise OverlayError(
+            f'images of encoding {image.encoding!r} cannot be shown, only {supported}'
+        )
     try:
         view = view_of(image)
     except ChipError as error:
         raise OverlayError(str(error)) from None
     size = image.width, image.height
-    if max(size) * scale > _LONGEST_SIDE:
+    if max(size) * scale > _MAX_SIDE:
         raise OverlayError(f'jpeg cannot hold a picture of {size[0]} x {size[1]} pixels')
     if image.encoding in _RAW_MODES and image.step == view.shape[1] * view.shape[2]:
         picture = Image.frombytes('RGB', size, image.data, 'raw', _RAW_MODES[image.encoding])
     else:
         pixels = view[..., layout.channels[:3]]
         if layout.depth == 16:
-            pixels = _to_8_bits(pixels)
+            pixels = to_8_bits(pixels)
         mode = 'L' if pixels.shape[2] == 1 else 'RGB'
         picture = Image.frombytes(mode, size, np.ascontiguousarray(pixels)).convert('RGB')
     if scale != 1.0:
-        wanted = [max(1, round(side * scale)) for side in size]
-        picture = picture.resize(wanted, Image.Resampling.BOX, reducing_gap=1.0)
+        scaled = [max(1, round(side * scale)) for side in size]
+        picture = picture.resize(scaled, Image.Resampling.BOX, reducing_gap=1.0)
     return picture
-
-
-def _to_8_bits(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Stretch the brightness that a picture has, but for its extremes, to all of 8 bits."""
-    height, width = pixels.shape[:2]
-    sample = pixels[:: -(-height // _SAMPLES), :: -(-width // _SAMPLES)]
-    low, high = np.percentile(sample, (0.5, 99.5))
-    steps = (np.arange(2**16) - low) * (255.0 / max(high - low, 1.0))
-    table: NDArray[np.uint8] = np.clip(np.round(steps), 0, 255).astype(np.uint8)
-    return table[pixels]
 
 
 def _outline(canvas: Any, corners: FloatArray, color: str, width: int) -> None:
@@ -290,7 +284,7 @@ def _outline(canvas: Any, corners: FloatArray, color: str, width: int) -> None:
 def _edges(corners: FloatArray, distance: float, width: int) -> FloatArray:
     """List the edges, (4 N, 2, 2), of boxes grown by a distance, for lines of some width."""
     along = np.roll(corners, -1, axis=1) - corners
-    # An edge without length has no direction.
+    # An edge of zero length has no direction.
     with np.errstate(divide='ignore', invalid='ignore'):
         unit = np.nan_to_num(along / np.hypot(along[..., 0], along[..., 1])[..., None])
     starts = corners + distance * (np.roll(unit, 1, axis=1) - unit)
@@ -334,7 +328,7 @@ def clipped(segments: FloatArray, low: FloatArray, high: FloatArray) -> FloatArr
 
 
 def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int:
-    """Write the labels that have room, best first; tell how many have none."""
+    """Write the labels that have room, best first; return how many have none."""
     size = canvas.im.size
     text_size, gap = style.text_size_for(size), style.line_width_for(size)
     background = _rgb(labels.color)
@@ -347,7 +341,7 @@ def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int
     rows = [row for row in order.tolist() if visible[row] and labels.texts[row]]
     taken = np.concatenate((np.hstack((middles, middles)), np.zeros((len(rows), 4))))
     count = len(middles)
-    for row in rows[:_MOST_LABELS]:
+    for row in rows[:_MAX_LABELS]:
         text = _text(labels.texts[row], text_size)
         place = _place(text.size, low[row] - gap, high[row] + gap, size, taken[:count])
         if place is None:
@@ -367,11 +361,11 @@ def _place(
     size: tuple[int, int],
     taken: FloatArray,
 ) -> tuple[int, int] | None:
-    """Find room above a box or below it, inside the picture and off what is taken, (K, 4)."""
+    """Find room above or below a box, inside the picture and clear of `taken`, (K, 4)."""
     width, height = text
     x = int(min(max(low[0], 0.0), max(size[0] - width, 0)))
-    for wanted in (int(low[1]) - height, int(high[1]) + 1):
-        y = min(max(wanted, 0), max(size[1] - height, 0))
+    for preferred in (int(low[1]) - height, int(high[1]) + 1):
+        y = min(max(preferred, 0), max(size[1] - height, 0))
         covers = (
             (taken[:, 0] < x + width)
             & (taken[:, 2] > x)
@@ -383,7 +377,7 @@ def _place(
     return None
 
 
-@lru_cache(maxsize=_TEXTS_KEPT)
+@lru_cache(maxsize=_MAX_CACHED_TEXTS)
 def _text(text: str, size: int) -> Any:
     """Write a text with a margin, as a Pillow image of mode L: 255 where there is ink."""
     from PIL import Image
@@ -413,10 +407,6 @@ def _ink_on(color: Color) -> Color:
 
 
 def _rgb(color: str) -> Color:
-    """
-    Read '#rrggbb'.
-
-    Pillow would read it again for each line.
-    """
+    """Parse '#rrggbb', once instead of for every line as Pillow would."""
     red, green, blue = bytes.fromhex(color[1:])
     return red, green, blue

@@ -39,10 +39,17 @@ _SEED = 20261122
 @dataclass
 class Cost:
     """
-    Cost of the chips of a method: their number, their pixels, and their bytes by codec.
+    Cost of the chips of a method.
 
-    `hull` is the area of the known hulls, `hull_lost` that of their parts outside the chip of the
-    ship; square pixels.
+    Attributes
+    ----------
+    chips, pixels : int
+        Number of chips, and pixels of all of them.
+    sizes : dict of str to int
+        Bytes of all chips, by codec.
+    hull, hull_lost : float
+        Area of all hulls in the labels, and of their parts outside the chip of their ship, square
+        pixels.
     """
 
     chips: int = 0
@@ -63,7 +70,7 @@ def chip_costs(
     images : iterable of (ImageLabels, ndarray of uint8 of shape (H, W, C))
         Labels and pixels.
     settings : CropSettings
-        How boxes become regions; without merging and limits, so that each ship has its chip.
+        How boxes become regions; without merging and limits, so that every ship has a chip.
     """
     costs = {name: Cost() for name in RULES}
     for labels, pixels in images:
@@ -76,7 +83,7 @@ def chip_costs(
 
 
 def _add(cost: Cost, labels: ImageLabels, pixels: NDArray[Any], plan: crops.CropPlan) -> None:
-    """Add the chips of one image."""
+    """Add the chips of one image, cut by a plan."""
     cost.chips += len(plan.regions)
     cost.pixels += plan.pixels
     layout = chips.PixelFormat(tuple(range(pixels.shape[2])), 8 * pixels.dtype.itemsize)

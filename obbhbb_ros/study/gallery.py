@@ -28,9 +28,9 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
 from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels.image_files import opened_image
 from obbhbb_ros.study.pages import environment
@@ -41,8 +41,6 @@ _SUFFIXES = {f'.{codec.suffix}' for codec in CODECS.values()}
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 # Longer side of an embedded picture, pixels.
 _EMBEDDED = 256
-# Share of pixels that may become black or white when 16 bits are stretched, percent.
-_CLIPPED = 0.5
 # Where the header of a PNG states the bits per channel.
 _PNG_DEPTH = 24
 
@@ -349,19 +347,12 @@ def _converted(chip: GalleryChip) -> str:
                 'not {} x {} pixels, but {} x {}'.format(*chip.facts['roi'][2:], *stored.size)
             )
         pixels = np.asarray(stored)
-    picture = Image.fromarray(pixels if pixels.dtype == np.uint8 else _stretched(pixels))
+    picture = Image.fromarray(pixels if pixels.dtype == np.uint8 else to_8_bits(pixels))
     picture = picture.convert('L' if pixels.ndim == 2 else 'RGB')
     picture.thumbnail((_EMBEDDED, _EMBEDDED))
     file = io.BytesIO()
     picture.save(file, 'jpeg', quality=80)
     return f'data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}'
-
-
-def _stretched(pixels: NDArray[Any]) -> NDArray[np.uint8]:
-    """Stretch the range of values that occur to 8 bits."""
-    low, high = np.percentile(pixels, (_CLIPPED, 100.0 - _CLIPPED))
-    scaled = (pixels - low) * (255.0 / max(high - low, 1.0))
-    return np.clip(scaled, 0.0, 255.0).astype(np.uint8)
 
 
 # Texts ----------------------------------------------------------------------------------------
