@@ -293,7 +293,7 @@ class Batch:
         xyxy = to_xyxy(*self._unclipped)
         if not settings.crop_rules:
             return xyxy
-        rules = [rule or HullRule() for rule in settings.crop_rules]
+        rules = [rule or OUTER[0] for rule in settings.crop_rules]
         hulls = half_extents(self._boxes, rules, self._rule_of, settings.caps)
         around = to_xyxy(self._boxes.center, hulls)
         if None in settings.crop_rules:

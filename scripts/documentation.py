@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The parameter tables as YAML files and as Markdown.
+The parameter files in `config/` and the tables in `doc/`, written from the code.
 
-`python scripts/documentation.py` rewrites `config/` and the tables in `doc/` of the
-checkout that it is run in; a test holds them equal.
+`python scripts/documentation.py` rewrites them in the checkout that is the working folder. A test
+checks that they are up to date.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.limits import Choices
 from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
+from obbhbb_ros.settings.common import COMMON_WITH_INPUT
 from obbhbb_ros.settings.downlink import DOWNLINK
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.overlay import OVERLAY
@@ -39,6 +40,19 @@ NODE_TABLES: dict[str, ParameterTable[Any]] = {
     'overlay': OVERLAY,
     'play_detections': PLAY_DETECTIONS,
 }
+# Name, title, rows, and the values that differ from the defaults.
+PARAMETER_FILES: tuple[tuple[str, str, ParameterTable[Any], Mapping[str, Any]], ...] = (
+    ('obb_to_hbb', 'obb_to_hbb: the recommended settings.', OBB_TO_HBB, {}),
+    (
+        'paper',
+        "obb_to_hbb: the paper's rule (Algorithm 1) and its best parameters.",
+        OBB_TO_HBB,
+        PAPER,
+    ),
+    ('chip_extractor', 'chip_extractor: the default settings.', CHIP_EXTRACTOR, {}),
+    ('downlink', 'downlink: the default settings. Set the two folders.', DOWNLINK, {}),
+    ('overlay', 'overlay: the default settings.', OVERLAY, {}),
+)
 _INDENT = ' ' * 4
 _COLUMNS = 100
 
@@ -52,14 +66,14 @@ def yaml_file(title: str, values: Mapping[str, Any], table: Sequence[Parameter])
     title : str
         First comment.
     values : mapping of str to value
-        What differs from the defaults.
+        Values that differ from the defaults.
     table : sequence of Parameter
-        The node's rows.
+        Parameters of the node.
 
     Returns
     -------
     str
-        YAML that `--params-file` takes, for a node of any name in any namespace.
+        A file for `--params-file` that applies to a node of any name in any namespace.
     """
     lines = [*_comment(title, ''), '/**:', '  ros__parameters:']
     group = ''
@@ -75,7 +89,7 @@ def yaml_file(title: str, values: Mapping[str, Any], table: Sequence[Parameter])
 
 
 def parameters_table(table: Sequence[Parameter]) -> str:
-    """Write the rows as a Markdown table."""
+    """Write parameters as a Markdown table."""
     rows = [
         (
             f'`{spec.name}`',
@@ -99,15 +113,14 @@ def with_table(document: str, name: str, table: str) -> str:
         If the document has no such place.
     """
     begin, end = f'<!-- {name}: begin -->\n', f'<!-- {name}: end -->'
-    before, found, rest = document.partition(begin)
-    _, closed, after = rest.partition(end)
-    if not (found and closed):
-        raise ValueError(f'no place for the table {name!r} in the document')
-    return before + begin + table + end + after
+    if not 0 <= document.find(begin) < document.find(end):
+        raise ValueError(f'the document has no place for the table {name!r}')
+    before, rest = document.split(begin, 1)
+    return before + begin + table + rest[rest.index(end) :]
 
 
 def page_tables() -> dict[str, dict[str, str]]:
-    """Write the tables of each page, by the name of their place in it."""
+    """Write the tables of each page, by the name of their place on it."""
     methods = [
         (f'`{m.name}`', m.summary, 'q, f, s' if m.tunable else '', 'yes' if m.onboard else '')
         for m in METHODS.values()
@@ -120,8 +133,17 @@ def page_tables() -> dict[str, dict[str, str]]:
     return {
         'method': {'methods': markdown_table(head, methods)},
         'formats': {'formats': markdown_table(('format', 'files', 'what it is'), formats)},
+        'nodes': {'common parameters': parameters_table(COMMON_WITH_INPUT)},
         **{
-            node: {'parameters': parameters_table(table.rows + table.class_rows)}
+            node: {
+                'parameters': parameters_table(
+                    [
+                        row
+                        for row in (*table.rows, *table.class_rows)
+                        if row not in COMMON_WITH_INPUT
+                    ]
+                )
+            }
             for node, table in NODE_TABLES.items()
         },
     }
@@ -129,7 +151,7 @@ def page_tables() -> dict[str, dict[str, str]]:
 
 def documents(root: Path) -> dict[Path, str]:
     """
-    Write every file that follows from the tables.
+    Write every file that is generated from the code.
 
     Parameters
     ----------
@@ -139,38 +161,20 @@ def documents(root: Path) -> dict[Path, str]:
     Returns
     -------
     dict of Path to str
-        What each file should hold.
+        The text of each file.
     """
-    pages = {}
+    files = {
+        root / 'config' / f'{name}.yaml': yaml_file(
+            f'{title} Every parameter is here.', values, table.rows
+        )
+        for name, title, table, values in PARAMETER_FILES
+    }
     for page, tables in page_tables().items():
         path = root / 'doc' / f'{page}.md'
-        pages[path] = path.read_text(encoding='utf-8')
+        files[path] = path.read_text(encoding='utf-8')
         for name, table in tables.items():
-            pages[path] = with_table(pages[path], name, table)
-    return {
-        root / 'config' / 'obb_to_hbb.yaml': yaml_file(
-            'obb_to_hbb: the recommended settings. Every parameter is here.', {}, OBB_TO_HBB.rows
-        ),
-        root / 'config' / 'paper.yaml': yaml_file(
-            "obb_to_hbb: the paper's rule (Algorithm 1) with its best-found parameters.",
-            PAPER,
-            OBB_TO_HBB.rows,
-        ),
-        root / 'config' / 'chip_extractor.yaml': yaml_file(
-            'chip_extractor: the default settings. Every parameter is here.',
-            {},
-            CHIP_EXTRACTOR.rows,
-        ),
-        root / 'config' / 'downlink.yaml': yaml_file(
-            'downlink: the default settings; set the two folders. Every parameter is here.',
-            {},
-            DOWNLINK.rows,
-        ),
-        root / 'config' / 'overlay.yaml': yaml_file(
-            'overlay: the default settings. Every parameter is here.', {}, OVERLAY.rows
-        ),
-        **pages,
-    }
+            files[path] = with_table(files[path], name, table)
+    return files
 
 
 def _limits(spec: Parameter) -> str:
