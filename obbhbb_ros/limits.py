@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from dataclasses import field
 from dataclasses import fields
+from numbers import Real
 from typing import Any
 from typing import TypeAlias
 from typing import TypeVar
@@ -51,6 +52,7 @@ class Range:
 
     def check(self, name: str, value: float) -> None:
         """Raise ValueError with the name if a value is out of range or NaN."""
+        require_number(name, value)
         if not self.low <= value <= self.high or (self.above and value == self.low):
             raise ValueError(f'{name} must be {self}, not {value}')
 
@@ -76,6 +78,14 @@ class Choices:
         """Raise ValueError with the name if a value is none of the words."""
         if value not in self.words:
             raise ValueError(f'{name} must be one of {self}, not {value!r}')
+
+
+def require_number(name: str, value: float) -> float:
+    """Return a number; raise TypeError with the name if it is none."""
+    # The first two are there for speed.
+    if not isinstance(value, (float, int, Real)):
+        raise TypeError(f'{name} must be a number, not {value!r}')
+    return value
 
 
 Limits: TypeAlias = Range | Choices

@@ -212,7 +212,7 @@ class Batch:
         self._center, self._extents = centers_and_extents(
             self._boxes, settings.rules, self._rule_of, settings.caps
         )
-        self._regular = self._boxes.regular
+        self._regular, self._defects = self._boxes.regular, self._boxes.defects
         # Crop regions are planned from boxes as they are.
         self._unclipped = self._center, self._extents
         if settings.clip_boxes and image_size:
@@ -222,10 +222,10 @@ class Batch:
 
     def boxes_message(self) -> bytes:
         """Write the message with axis-aligned boxes in place of the oriented ones."""
-        xywh = np.concatenate((self._center, 2.0 * self._extents)).T
+        xywh = np.hstack((self._center, 2.0 * self._extents))
         if self._regular:
             return self._detections.rewrite(xywh)
-        valid = np.isfinite(self._extents[0])
+        valid = np.isfinite(self._extents[:, 0])
         if self._settings.keep_invalid or valid.all():
             return self._detections.rewrite(xywh, valid)
         return self._detections.selected(np.flatnonzero(valid), xywh[valid])
@@ -233,12 +233,12 @@ class Batch:
     def _clip(self, image_size: tuple[int, int]) -> None:
         """End boxes at the border of the image; those outside cannot be converted."""
         low = np.maximum(self._center - self._extents, 0.0)
-        high = np.minimum(self._center + self._extents, np.array(image_size)[:, None])
-        outside = (low >= high).any(axis=0)
+        high = np.minimum(self._center + self._extents, image_size)
+        outside = (low >= high).any(axis=1)
         self._center, self._extents = (low + high) / 2.0, (high - low) / 2.0
         if outside.any():
-            self._boxes.defects[outside] = Defect.OUTSIDE_IMAGE
-            self._extents[:, outside] = np.nan
+            self._defects = np.where(outside, np.uint8(Defect.OUTSIDE_IMAGE), self._defects)
+            self._extents[outside] = np.nan
             self._regular = False
 
     def crop_regions_message(self) -> bytes:
@@ -270,7 +270,7 @@ class Batch:
         """
         plan, boxes = self._crop_plan, self._boxes
         rows = plan.sources[plan.offsets[:-1]]
-        xywhr = np.concatenate((boxes.center, (boxes.length, boxes.width, boxes.theta)))
+        xywhr = np.vstack((boxes.center.T, boxes.length, boxes.width, boxes.theta))
         return self._detections.ranked(rows, xywhr[:, rows], plan.values)
 
     @cached_property
@@ -323,11 +323,11 @@ class Batch:
 
     def _count_invalid(self) -> str:
         """Count the detections that cannot be converted by reason; say which is the first."""
-        rows = np.flatnonzero(np.isnan(self._extents[0]))
+        rows = np.flatnonzero(np.isnan(self._extents[:, 0]))
         if not rows.size:
             return ''
         # A box without a defect that has no extents overflowed.
-        defects = np.maximum(self._boxes.defects[rows], np.uint8(Defect.NOT_FINITE))
+        defects = np.maximum(self._defects[rows], np.uint8(Defect.NOT_FINITE))
         action = 'kept' if self._settings.keep_invalid else 'dropped'
         for defect, count in zip(*np.unique(defects, return_counts=True), strict=True):
             self.counts[f'detections_{action}.{Defect(defect).name.lower()}'] += int(count)

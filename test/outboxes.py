@@ -89,7 +89,7 @@ def _chips_of(
         chip = encode(pixels[y0:y1, x0:x1], settings)
         second, nanosecond = FIRST_STAMP + 5 * frame, 123456789
         shape = (
-            *boxes.center[:, first],
+            *boxes.center[first],
             *(each[first] for each in (boxes.length, boxes.width, boxes.theta)),
         )
         yield (

@@ -64,10 +64,7 @@ LATCHED = Qos(
 def real_ships() -> list[Any]:
     """Give the ships of each image as rows of centre, size and angle."""
     found = [each.boxes() for each in read_labels(SHIPS)]
-    return [
-        np.column_stack((each.center.T, each.length, each.width, each.theta)).tolist()
-        for each in found
-    ]
+    return [each.xywhr.tolist() for each in found]
 
 
 class Recorded(NamedTuple):

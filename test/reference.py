@@ -70,7 +70,7 @@ class Reference:
         """Write the message with axis-aligned boxes."""
         answer = Detection2DArray(header=self._message.header)
         for detection, center, extents in zip(
-            self._message.detections, self._center.T, self._extents.T, strict=True
+            self._message.detections, self._center, self._extents, strict=True
         ):
             if np.isfinite(extents[0]):
                 answer.detections.append(with_box(detection, *center, *(2.0 * extents)))
@@ -84,7 +84,7 @@ class Reference:
         for row, rule in enumerate(self._rule_of):
             hull = settings.crop_rules[rule] if settings.crop_rules else None
             if hull is not None:
-                box = self._boxes.take(slice(row, row + 1))
+                box = self._boxes[row]
                 around = to_xyxy(box.center, half_extents(box, [hull], caps=settings.caps))[0]
                 xyxy[row, :2] = np.minimum(xyxy[row, :2], around[:2])
                 xyxy[row, 2:] = np.maximum(xyxy[row, 2:], around[2:])

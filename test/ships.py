@@ -111,4 +111,4 @@ def axis_aligned(
     if not isinstance(boxes, OrientedBoxes):
         boxes = OrientedBoxes.from_xywhr(boxes)
     size = 2.0 * half_extents(boxes, [rule or HullRule()], caps=caps)
-    return np.vstack((boxes.center, size, np.zeros(len(boxes)))).T
+    return np.column_stack((boxes.center, size, np.zeros(len(boxes))))

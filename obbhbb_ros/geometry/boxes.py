@@ -2,20 +2,27 @@
 """
 Arrays of oriented boxes, from corners, from centre, size and angle, or from polygons.
 
-Image coordinates: x to the right, y down, pixels, pixel i covering [i, i + 1). Axis-aligned
-extents are even in the angle and have period pi, so its sense of rotation matters only where the
-angle points to the bow.
+Image coordinates: x to the right, y down, pixels; pixel i covers [i, i + 1). Axis-aligned extents
+are even in the angle and have period pi, so the sense of rotation matters only where the angle
+points to the bow.
+
+Arrays of points and vectors have shape (N, 2). In memory all x come first, then all y, which is
+what makes the arithmetic fast.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from collections.abc import Iterable
+from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
-from dataclasses import field
+from dataclasses import replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Any
+from typing import NoReturn
 from typing import TypeAlias
 
 import numpy as np
@@ -23,20 +30,26 @@ import shapely
 from numpy.typing import ArrayLike
 from numpy.typing import NDArray
 
+__all__ = ['FARTHEST', 'Defect', 'FloatArray', 'OrientedBoxes']
+
 FloatArray: TypeAlias = NDArray[np.float64]
 
-# Boxes processed at a time, so that the temporaries stay in a core's cache.
+# The number of boxes that are processed at a time, so that the temporaries stay in a core's cache.
 BLOCK = 8192
 
 # Products of numbers below _LARGE do not overflow, areas of sides above _SMALL do not underflow.
 _LARGE = 1e150
 _SMALL = 1e-150
 
-# Beyond this a double no longer resolves a tenth of a pixel, and GEOS fails: from 1e15 on with an
-# exception or NaN, from 1e154 on, where squares overflow, with a segmentation fault.
+# The largest coordinate of a polygon. Beyond it a double no longer resolves a tenth of a pixel, and
+# GEOS fails: from 1e15 on with an exception or NaN, from 1e154 on, where squares overflow, with a
+# segmentation fault.
 FARTHEST = 1e15
 
 _FLOAT = np.dtype(np.float64)
+
+# The number of boxes that `repr` shows.
+_SHOWN = 3
 
 
 def blocks(count: int) -> list[slice]:
@@ -46,9 +59,24 @@ def blocks(count: int) -> list[slice]:
 
 class Defect(IntEnum):
     """
-    Why a box cannot be converted; `NONE` if it can.
+    Why a box cannot be converted.
 
-    `NO_RECTANGLE`: a polygon has coordinates beyond `FARTHEST`, or shapely fails on it.
+    Attributes
+    ----------
+    NONE
+        It can be converted.
+    NOT_FINITE
+        A coordinate, size or angle is NaN or infinite.
+    NEGATIVE_SIZE
+        A size is negative.
+    EMPTY
+        The box has no area.
+    TOO_FEW_POINTS
+        The polygon has fewer than three different vertices.
+    NO_RECTANGLE
+        The polygon has coordinates beyond `FARTHEST`, or shapely fails on it.
+    OUTSIDE_IMAGE
+        No part of the box lies in the image; only where boxes are clipped to it.
     """
 
     NONE = 0
@@ -60,48 +88,71 @@ class Defect(IntEnum):
     OUTSIDE_IMAGE = 6
 
 
-@dataclass(eq=False, repr=False, slots=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class OrientedBoxes:
     """
-    N oriented boxes, stored as centres and half edges.
+    N oriented boxes.
 
     Create them with `from_corners`, `from_xywhr` or `from_polygons`, which accept the long side in
     either place, keep the order of the input, and raise ValueError if it has another shape or
-    contains anything but numbers. Boxes that cannot be converted have NaN coordinates and a defect.
+    contains anything but numbers. A box that cannot be converted keeps its row, with NaN
+    coordinates and a defect.
+
+    The boxes cannot be changed: all arrays are read-only, and so become arrays that are passed to
+    the constructor. `boxes[rows]` selects boxes by any NumPy index; an integer and iteration give
+    `OrientedBoxes` of length 1. `==` is True or False: whether all arrays are equal to the last
+    bit, NaN being equal to NaN. Compare `corners` to allow for rounding.
 
     Attributes
     ----------
-    center : ndarray, shape (2, N)
+    center : ndarray, shape (N, 2)
         x and y of the centres, pixels.
-    first, second : ndarray, shape (2, N)
+    first, second : ndarray, shape (N, 2)
         Half of two adjacent edges as vectors, pixels.
     defects : ndarray of uint8, shape (N,)
         A `Defect` for each box.
+    bow : ndarray of bool, shape (N,)
+        Where the bow is known; it is then at ``center + first``.
     regular : bool
         True if no box has a defect and no conversion can overflow, so that callers can skip these
         checks.
-    bow : ndarray of bool, shape (N,), or None
-        Where the bow is known: it is then at ``center + first``. None: nowhere.
+
+    Examples
+    --------
+    >>> boxes = OrientedBoxes.from_xywhr([[50, 40, 60, 20, 0], [9, 9, 4, 2, 1], [0, 0, 0, 2, 0]])
+    >>> boxes
+    <OrientedBoxes: 3 boxes, 1 invalid, xywhr:
+    [[50. 40. 60. 20.  0.]
+     [ 9.  9.  4.  2.  1.]
+     [nan nan nan nan nan]]>
+    >>> boxes[boxes.valid].length
+    array([60.,  4.])
+    >>> boxes[1] == boxes[1:2]
+    True
     """
 
     center: FloatArray
     first: FloatArray
     second: FloatArray
     defects: NDArray[np.uint8]
+    bow: NDArray[np.bool_]
     regular: bool = False
-    bow: NDArray[np.bool_] | None = None
-    _axes: tuple[FloatArray, FloatArray] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for array in (self.center, self.first, self.second, self.defects, self.bow):
+            array.setflags(write=False)
 
     @classmethod
     def from_corners(
-        cls, corners: ArrayLike, bow: bool | NDArray[np.bool_] = False
+        cls, corners: ArrayLike, *, bow: bool | NDArray[np.bool_] = False
     ) -> OrientedBoxes:
         """
         Create boxes from their corners.
 
         Parameters
         ----------
-        corners : array_like, shape (N, 4, 2)
+        corners : array_like, shape (N, 4, 2) or (N, 8)
             x and y of the corners in order around each box, pixels; in either direction, from any
             corner. Corners that are not exactly a rectangle, for example after rounding, give
             their mean edges, centred on each axis on the diagonal that is longer along it.
@@ -113,21 +164,27 @@ class OrientedBoxes:
 
         Examples
         --------
-        >>> boxes = OrientedBoxes.from_corners([[[20, 30], [80, 30], [80, 50], [20, 50]]])
+        >>> boxes = OrientedBoxes.from_corners([[20, 30, 80, 30, 80, 50, 20, 50]])
         >>> boxes.length, boxes.width
         (array([60.]), array([20.]))
         """
         boxes = _in_blocks(_as_array(corners, 'corners', (4, 2)), _boxes_of_corners)
-        if bow is not False:
-            # The second edge leads away from the bow.
-            ahead, aside = -boxes.second, boxes.first
-            boxes.bow = known = _known_bows(ahead, aside, bow)
-            boxes.first = np.where(known, ahead, boxes.first)
-            boxes.second = np.where(known, aside, boxes.second)
-        return boxes
+        if bow is False:
+            return boxes
+        # The second edge leads away from the bow.
+        ahead, aside = -boxes.second, boxes.first
+        known = _known_bows(ahead, aside, bow)
+        return replace(
+            boxes,
+            first=np.where(known[:, None], ahead, boxes.first),
+            second=np.where(known[:, None], aside, boxes.second),
+            bow=known,
+        )
 
     @classmethod
-    def from_xywhr(cls, xywhr: ArrayLike, bow: bool | NDArray[np.bool_] = False) -> OrientedBoxes:
+    def from_xywhr(
+        cls, xywhr: ArrayLike, *, bow: bool | NDArray[np.bool_] = False, degrees: bool = False
+    ) -> OrientedBoxes:
         """
         Create boxes from centre, size and angle.
 
@@ -141,43 +198,49 @@ class OrientedBoxes:
             direction is ``(cos(theta), sin(theta))`` in image coordinates, y down: clockwise on
             the screen. Negate angles that are counter-clockwise. Where the extent along `theta`
             is the shorter side the bow is not known.
+        degrees : bool
+            Whether `theta` is in degrees.
 
         Examples
         --------
-        >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]])
-        >>> boxes.corners[0].tolist()
-        [[20.0, 30.0], [80.0, 30.0], [80.0, 50.0], [20.0, 50.0]]
+        >>> boxes = OrientedBoxes.from_xywhr([[50, 40, 60, 20, 90]], degrees=True)
+        >>> boxes.corners[0].round(9).tolist()
+        [[60.0, 10.0], [60.0, 70.0], [40.0, 70.0], [40.0, 10.0]]
         >>> boxes = OrientedBoxes.from_xywhr([[50, 40, 60, 20, 0], [50, 40, 20, 60, 0]], bow=True)
         >>> boxes.bow
         array([ True, False])
         """
-        boxes = _in_blocks(_as_array(xywhr, 'xywhr', (5,)), _boxes_of_xywhr)
-        if bow is not False:
-            boxes.bow = _known_bows(boxes.first, boxes.second, bow)
-        return boxes
+        rows = _as_array(xywhr, 'xywhr', (5,))
+        if degrees:
+            rows = rows * (1.0, 1.0, 1.0, 1.0, np.pi / 180.0)
+        boxes = _in_blocks(rows, _boxes_of_xywhr)
+        if bow is False:
+            return boxes
+        return replace(boxes, bow=_known_bows(boxes.first, boxes.second, bow))
 
     @classmethod
-    def from_polygons(cls, polygons: Iterable[ArrayLike]) -> OrientedBoxes:
+    def from_polygons(cls, polygons: Iterable[ArrayLike | shapely.Geometry]) -> OrientedBoxes:
         """
         Create the minimum rotated rectangle of each polygon.
 
         Parameters
         ----------
-        polygons : iterable of array_like, each of shape (K, 2)
+        polygons : iterable of array_like, each of shape (K, 2), or of shapely geometries
             x and y of the vertices, pixels; any number, in any order, closed or not.
 
         Examples
         --------
         >>> boxes = OrientedBoxes.from_polygons([
         ...     [[0, 0], [55, 0], [60, 10], [55, 20], [0, 20]],
+        ...     shapely.box(0, 0, 60, 20),
         ...     [[0, 0], [1, 1]],
         ... ])
         >>> boxes.valid
-        array([ True, False])
-        >>> Defect(boxes.defects[1]).name
+        array([ True,  True, False])
+        >>> Defect(boxes.defects[2]).name
         'TOO_FEW_POINTS'
         """
-        rings = [_as_array(polygon, f'polygons[{i}]', (2,)) for i, polygon in enumerate(polygons)]
+        rings = [_vertices(polygon, f'polygons[{i}]') for i, polygon in enumerate(polygons)]
         defects = np.array([_ring_defect(ring) for ring in rings], np.uint8)
         corners = np.full((len(rings), 4, 2), np.nan)
         usable = defects == Defect.NONE
@@ -186,41 +249,99 @@ class OrientedBoxes:
                 [ring for ring, use in zip(rings, usable, strict=True) if use]
             )
         boxes = cls.from_corners(corners)
-        boxes.defects[usable & (boxes.defects == Defect.NOT_FINITE)] = Defect.NO_RECTANGLE
-        boxes.defects[~usable] = defects[~usable]
-        return boxes
+        defects[usable] = boxes.defects[usable]
+        defects[usable & (defects == Defect.NOT_FINITE)] = Defect.NO_RECTANGLE
+        return replace(boxes, defects=defects)
+
+    @classmethod
+    def concatenate(cls, parts: Iterable[OrientedBoxes]) -> OrientedBoxes:
+        """
+        Join boxes, in the order of the parts.
+
+        Examples
+        --------
+        >>> boxes = OrientedBoxes.from_xywhr([[50, 40, 60, 20, 0], [9, 9, 4, 2, 1]])
+        >>> OrientedBoxes.concatenate([boxes[1], boxes]).length
+        array([ 4., 60.,  4.])
+        """
+        parts = list(parts) or [cls.from_xywhr([])]
+        return cls(
+            np.concatenate([part.center for part in parts]),
+            np.concatenate([part.first for part in parts]),
+            np.concatenate([part.second for part in parts]),
+            np.concatenate([part.defects for part in parts]),
+            np.concatenate([part.bow for part in parts]),
+            all(part.regular for part in parts),
+        )
 
     def __len__(self) -> int:
         """Count the boxes."""
         return self.defects.shape[0]
 
-    def take(self, rows: Any) -> OrientedBoxes:
-        """Select boxes by any NumPy index of N rows: a slice, indices or a mask."""
+    def __getitem__(self, rows: Any) -> OrientedBoxes:
+        """Select boxes by a NumPy index of N rows: an integer, a slice, integers or a mask."""
+        if isinstance(rows, (int, np.integer)):
+            row = range(len(self))[rows]
+            rows = slice(row, row + 1)
         return OrientedBoxes(
-            self.center[:, rows],
-            self.first[:, rows],
-            self.second[:, rows],
+            self.center[rows],
+            self.first[rows],
+            self.second[rows],
             self.defects[rows],
+            self.bow[rows],
             self.regular,
-            None if self.bow is None else self.bow[rows],
         )
+
+    def __iter__(self) -> Iterator[OrientedBoxes]:
+        """Iterate over the boxes, as `OrientedBoxes` of length 1."""
+        return (self[row] for row in range(len(self)))
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether all boxes are equal to the last bit, with the same defects and bows."""
+        if not isinstance(other, OrientedBoxes):
+            return NotImplemented
+        return (
+            np.array_equal(self.center, other.center, equal_nan=True)
+            and np.array_equal(self.first, other.first, equal_nan=True)
+            and np.array_equal(self.second, other.second, equal_nan=True)
+            and np.array_equal(self.defects, other.defects)
+            and np.array_equal(self.bow, other.bow)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __array__(self, *_: Any, **__: Any) -> NoReturn:
+        """Refuse to become an array, as there is more than one that it could be."""
+        raise TypeError('OrientedBoxes are no array: take .xywhr, (N, 5), or .corners, (N, 4, 2)')
+
+    def __repr__(self) -> str:
+        """Show the number of boxes and the first rows."""
+        invalid = np.count_nonzero(self.defects)
+        rows = np.array2string(self[:_SHOWN].xywhr, precision=3, suppress_small=True)
+        return (
+            f'<OrientedBoxes: {len(self)} box{"" if len(self) == 1 else "es"}'
+            f'{f", {invalid} invalid" if invalid else ""}, xywhr:\n'
+            f'{rows}{" ..." if len(self) > _SHOWN else ""}>'
+        )
+
+    @cached_property
+    def _axes(self) -> tuple[FloatArray, FloatArray]:
+        """Half the long and half the short edge."""
+        with np.errstate(over='ignore'):
+            axes = longer_first(self.first, self.second)
+        for axis in axes:
+            axis.setflags(write=False)
+        return axes
 
     @property
     def long_axis(self) -> FloatArray:
-        """Half the long edge as a vector, pixels, shape (2, N)."""
-        return self._sorted_axes()[0]
+        """Half the long edge as a vector, pixels, shape (N, 2)."""
+        return self._axes[0]
 
     @property
     def short_axis(self) -> FloatArray:
-        """Half the short edge as a vector, pixels, shape (2, N)."""
-        return self._sorted_axes()[1]
-
-    def _sorted_axes(self) -> tuple[FloatArray, FloatArray]:
-        """Return long and short axis, sorted on first use."""
-        if self._axes is None:
-            with np.errstate(over='ignore'):
-                self._axes = longer_first(self.first, self.second)
-        return self._axes
+        """Half the short edge as a vector, pixels, shape (N, 2)."""
+        return self._axes[1]
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -231,45 +352,83 @@ class OrientedBoxes:
     def length(self) -> FloatArray:
         """Length of the long side, pixels, shape (N,); infinite if it overflows."""
         with np.errstate(over='ignore'):
-            return 2.0 * np.hypot(*self.long_axis)
+            return 2.0 * np.hypot(*self.long_axis.T)
 
     @property
     def width(self) -> FloatArray:
         """Length of the short side, pixels, shape (N,); infinite if it overflows."""
         with np.errstate(over='ignore'):
-            return 2.0 * np.hypot(*self.short_axis)
+            return 2.0 * np.hypot(*self.short_axis.T)
 
     @property
     def theta(self) -> FloatArray:
         """Angle of the long axis from image +x, radians in [-pi/2, pi/2), shape (N,)."""
-        angle = np.arctan2(self.long_axis[1], self.long_axis[0])
-        return np.mod(angle + np.pi / 2, np.pi) - np.pi / 2
+        x, y = self.long_axis.T
+        return np.mod(np.arctan2(y, x) + np.pi / 2, np.pi) - np.pi / 2
+
+    @property
+    def xywhr(self) -> FloatArray:
+        """
+        Centre x and y, length, width (pixels) and angle (radians), shape (N, 5).
+
+        The angle is `theta`, or, where the bow is known, the direction of the bow in [-pi, pi].
+        ``from_xywhr(boxes.xywhr, bow=boxes.bow)`` gives the same boxes, but for rounding.
+        """
+        x, y = self.first.T
+        angle = np.where(self.bow, np.arctan2(y, x), self.theta)
+        return np.column_stack((self.center, self.length, self.width, angle))
 
     @property
     def corners(self) -> FloatArray:
-        """Corners in order around each box, pixels, shape (N, 4, 2)."""
+        """
+        Corners in order around each box, pixels, shape (N, 4, 2).
+
+        The first two are a short side; the bow, where it is known, may be at either end.
+        """
         c, u, v = self.center, self.long_axis, self.short_axis
         with np.errstate(over='ignore', invalid='ignore'):
-            stacked = np.stack((c - u - v, c + u - v, c + u + v, c - u + v))
-        return np.ascontiguousarray(stacked.transpose(2, 0, 1))
+            stacked = np.stack((c - u - v, c + u - v, c + u + v, c - u + v), axis=1)
+        return np.ascontiguousarray(stacked)
+
+    def to_polygons(self) -> NDArray[np.object_]:
+        """
+        Create shapely polygons, shape (N,); None where a box is not valid.
+
+        Examples
+        --------
+        >>> boxes = OrientedBoxes.from_xywhr([[50, 40, 60, 20, 0], [0, 0, 0, 2, 0]])
+        >>> boxes.to_polygons().tolist()
+        [<POLYGON ((20 30, 80 30, 80 50, 20 50, 20 30))>, None]
+        """
+        polygons = np.full(len(self), None)
+        polygons[self.valid] = shapely.polygons(self.corners[self.valid])
+        return polygons
 
 
 def longer_first(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Sort pairs of vectors, (2, N) each, by length; squared lengths must be finite."""
-    swap = second[0] * second[0] + second[1] * second[1] > first[0] * first[0] + first[1] * first[1]
+    """Sort pairs of vectors, (N, 2) each, by length; squared lengths must be finite."""
+    swap = _squared(second) > _squared(first)
     if not swap.any():
         return first, second
+    swap = swap[:, None]
     return np.where(swap, second, first), np.where(swap, first, second)
 
 
+def _squared(vectors: FloatArray) -> FloatArray:
+    """Compute the squared lengths of vectors, (N, 2)."""
+    x, y = vectors.T
+    squared: FloatArray = x * x + y * y
+    return squared
+
+
 def _known_bows(
-    ahead: FloatArray, aside: FloatArray, asked: bool | NDArray[np.bool_]
+    ahead: FloatArray, aside: FloatArray, claimed: bool | NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Find where the bow is at the end of half edges `ahead`, (2, N): those not the shorter."""
+    """Decide where the bow is at the end of `ahead`: where claimed, if that is not the shorter."""
     with np.errstate(over='ignore', invalid='ignore'):
-        length, width = (edge[0] * edge[0] + edge[1] * edge[1] for edge in (ahead, aside))
+        length, width = _squared(ahead), _squared(aside)
     # False where a box has a defect, NaN, or its square overflows.
-    return (width <= length) & (length < np.inf) & np.broadcast_to(asked, length.shape)
+    return (width <= length) & (length < np.inf) & np.broadcast_to(claimed, length.shape)
 
 
 def range_defect(points: FloatArray) -> Defect:
@@ -281,33 +440,43 @@ def range_defect(points: FloatArray) -> Defect:
 
 
 def _as_array(values: ArrayLike, name: str, row_shape: tuple[int, ...]) -> FloatArray:
-    """Convert `values` to float64 rows of `row_shape`."""
+    """Convert `values` to float64 rows of `row_shape`; a row may also be flat."""
     if type(values) is np.ndarray and values.dtype == _FLOAT and values.shape[1:] == row_shape:
         return values
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f'{name} must be an array of numbers: {error}') from None
-    if array.size == 0 and array.ndim <= 1:
-        array = array.reshape((0, *row_shape))
+    size = math.prod(row_shape)
+    if array.shape == (0,) or array.shape[1:] == (size,):
+        array = array.reshape(-1, *row_shape)
     if array.shape[1:] != row_shape or array.ndim != len(row_shape) + 1:
         expected = ', '.join(('N', *map(str, row_shape)))
-        raise ValueError(f'{name} must have shape ({expected}), not {array.shape}')
+        also = f' or (N, {size})' if len(row_shape) > 1 else ''
+        raise ValueError(f'{name} must have shape ({expected}){also}, not {array.shape}')
     return array
+
+
+def _vertices(polygon: ArrayLike | shapely.Geometry, name: str) -> FloatArray:
+    """Return the vertices of a polygon, (K, 2)."""
+    if isinstance(polygon, shapely.Geometry):
+        return np.asarray(shapely.get_coordinates(polygon))
+    return _as_array(polygon, name, (2,))
 
 
 def _in_blocks(array: FloatArray, boxes_of: Callable[[FloatArray], OrientedBoxes]) -> OrientedBoxes:
     """Create boxes block by block."""
     if len(array) <= BLOCK:
         return boxes_of(array)
-    center, first, second = np.empty((3, 2, len(array)))
-    boxes = OrientedBoxes(center, first, second, np.empty(len(array), np.uint8), True)
-    for rows in blocks(len(array)):
+    count, regular = len(array), True
+    center, first, second = np.empty((3, 2, count)).transpose(0, 2, 1)
+    defects = np.empty(count, np.uint8)
+    for rows in blocks(count):
         block = boxes_of(array[rows])
-        center[:, rows], first[:, rows], second[:, rows] = block.center, block.first, block.second
-        boxes.defects[rows] = block.defects
-        boxes.regular &= block.regular
-    return boxes
+        center[rows], first[rows], second[rows] = block.center, block.first, block.second
+        defects[rows] = block.defects
+        regular &= block.regular
+    return OrientedBoxes(center, first, second, defects, np.zeros(count, np.bool_), regular)
 
 
 def _boxes_of_corners(corners: FloatArray) -> OrientedBoxes:
@@ -315,14 +484,11 @@ def _boxes_of_corners(corners: FloatArray) -> OrientedBoxes:
     # One transposed copy, so that everything below runs along contiguous memory.
     quarters = np.multiply(corners.transpose(1, 2, 0), 0.25, order='C')
     if _all_below_large(quarters):
-        boxes = _from_quarters(quarters)
-        if np.minimum.reduce(_areas(boxes), initial=np.inf) > _SMALL**2:
-            boxes.regular = True
-            return boxes
+        center, first, second = _from_quarters(quarters)
+        if np.minimum.reduce(_areas(first, second), initial=np.inf) > _SMALL**2:
+            return _regular_boxes(center, first, second)
     with np.errstate(invalid='ignore', over='ignore'):
-        boxes = _from_quarters(quarters)
-        _mark_unusable(boxes)
-        return boxes
+        return _checked_boxes(*_from_quarters(quarters))
 
 
 def _boxes_of_xywhr(xywhr: FloatArray) -> OrientedBoxes:
@@ -330,15 +496,9 @@ def _boxes_of_xywhr(xywhr: FloatArray) -> OrientedBoxes:
     columns = xywhr.T
     sizes = columns[2:4]
     if _all_below_large(columns) and np.minimum.reduce(sizes, axis=None, initial=np.inf) > _SMALL:
-        boxes = _from_columns(columns)
-        boxes.regular = True
-        return boxes
+        return _regular_boxes(*_from_columns(columns))
     with np.errstate(invalid='ignore', over='ignore'):
-        boxes = _from_columns(columns)
-        _mark_unusable(boxes)
-    negative = (sizes < 0.0).any(axis=0)
-    _mark(boxes, negative & (boxes.defects != Defect.NOT_FINITE), Defect.NEGATIVE_SIZE)
-    return boxes
+        return _checked_boxes(*_from_columns(columns), negative=(sizes < 0.0).any(axis=0))
 
 
 def _all_below_large(numbers: FloatArray) -> bool:
@@ -347,8 +507,8 @@ def _all_below_large(numbers: FloatArray) -> bool:
     return bool(np.maximum.reduce(np.abs(numbers), axis=None, initial=0.0) < _LARGE)
 
 
-def _from_quarters(quarters: FloatArray) -> OrientedBoxes:
-    """Create boxes from corners, scaled by 1/4, (4, 2, n)."""
+def _from_quarters(quarters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Compute centres and half edges, (2, n) each, from corners scaled by 1/4, (4, 2, n)."""
     diagonals = quarters[2:] - quarters[:2]
     first, second = diagonals[0] - diagonals[1], diagonals[0] + diagonals[1]
     # The middle of the longer diagonal on each axis, not the mean of the corners: `outer` is then
@@ -362,11 +522,11 @@ def _from_quarters(quarters: FloatArray) -> OrientedBoxes:
     other ^= middle
     other &= signs_differ
     middle ^= other
-    return OrientedBoxes(middles[0] * 2.0, first, second, np.zeros(first.shape[1], np.uint8))
+    return middles[0] * 2.0, first, second
 
 
-def _from_columns(columns: FloatArray) -> OrientedBoxes:
-    """Create boxes from x, y, width, height and theta, (5, n)."""
+def _from_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Compute centres and half edges, (2, n) each, from x, y, width, height and theta, (5, n)."""
     half = columns[2:4] * 0.5
     theta = columns[4]
     direction = np.empty((2, len(theta)))
@@ -374,30 +534,39 @@ def _from_columns(columns: FloatArray) -> OrientedBoxes:
     np.sin(theta, out=direction[1])
     first, second = direction * half[0], direction[::-1] * half[1]
     np.negative(second[0], out=second[0])
-    return OrientedBoxes(columns[:2].copy(), first, second, np.zeros(half.shape[1], np.uint8))
+    return np.array(columns[:2], order='C'), first, second
 
 
-def _areas(boxes: OrientedBoxes) -> FloatArray:
-    """Compute a quarter of the area of each box."""
-    products = boxes.first * boxes.second[::-1]
+def _areas(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Compute a quarter of the area of each box from its half edges, (2, n) each."""
+    products = first * second[::-1]
     areas = products[0] - products[1]
     return np.abs(areas, out=areas)
 
 
-def _mark_unusable(boxes: OrientedBoxes) -> None:
-    """Mark the boxes that are not finite or have no area."""
-    numbers = np.concatenate((boxes.center, boxes.first, boxes.second))
+def _regular_boxes(center: FloatArray, first: FloatArray, second: FloatArray) -> OrientedBoxes:
+    """Create boxes without defects from arrays of shape (2, n)."""
+    count = center.shape[1]
+    nowhere = np.zeros(count, np.bool_)
+    return OrientedBoxes(center.T, first.T, second.T, np.zeros(count, np.uint8), nowhere, True)
+
+
+def _checked_boxes(
+    center: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+    negative: bool | NDArray[np.bool_] = False,
+) -> OrientedBoxes:
+    """Create boxes from arrays of shape (2, n), and mark those that cannot be converted."""
+    numbers = np.concatenate((center, first, second))
     finite = np.logical_and.reduce(np.isfinite(numbers))
-    empty = finite & (_areas(boxes) == 0.0)
-    _mark(boxes, ~finite, Defect.NOT_FINITE)
-    _mark(boxes, empty, Defect.EMPTY)
-
-
-def _mark(boxes: OrientedBoxes, which: NDArray[np.bool_], defect: Defect) -> None:
-    """Set the defect of some boxes, and their coordinates to NaN."""
-    boxes.defects[which] = defect
-    for array in (boxes.center, boxes.first, boxes.second):
-        array[:, which] = np.nan
+    defects = np.zeros(len(finite), np.uint8)
+    defects[_areas(first, second) == 0.0] = Defect.EMPTY
+    defects[negative] = Defect.NEGATIVE_SIZE
+    defects[~finite] = Defect.NOT_FINITE
+    numbers[:, defects != Defect.NONE] = np.nan
+    center, first, second = np.split(numbers, 3)
+    return OrientedBoxes(center.T, first.T, second.T, defects, np.zeros(len(finite), np.bool_))
 
 
 def _ring_defect(ring: FloatArray) -> Defect:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,22 @@ from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.geometry.methods import get_method
 from obbhbb_ros.limits import Range
 from obbhbb_ros.limits import check_settings
+from obbhbb_ros.limits import require_number
 from obbhbb_ros.limits import setting
+
+__all__ = [
+    'NO_CAPS',
+    'PAPER_RULE',
+    'Caps',
+    'Conversion',
+    'HullRule',
+    'centers_and_extents',
+    'convert',
+    'convert_by_rule',
+    'convert_with_diagnostics',
+    'half_extents',
+    'to_xyxy',
+]
 
 Q_RANGE = Range(1.0, math.inf)
 F_RANGE = S_RANGE = Range(0.0, 2.0, above=True)
@@ -28,7 +44,7 @@ F_RANGE = S_RANGE = Range(0.0, 2.0, above=True)
 @dataclass(frozen=True)
 class HullRule:
     """
-    A conversion rule with its shape parameters; ValueError if a value is out of range.
+    A conversion rule with its shape parameters.
 
     Attributes
     ----------
@@ -40,6 +56,13 @@ class HullRule:
     q_bow, q_stern : float or None
         Shape exponents of the two ends of a hull whose bow is known; None: q. Only `superellipse`
         uses them; the other methods ignore the bow.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of range or there is no such method.
+    TypeError
+        If a value is no number.
 
     Examples
     --------
@@ -84,13 +107,20 @@ PAPER_RULE = HullRule('shape_aware', q=2.2, f=0.9, s=1.0)
 @dataclass(frozen=True)
 class Caps:
     """
-    The largest plausible ship, `L_max` and `W_max` of Algorithm 1; ValueError if not positive.
+    The largest plausible ship, `L_max` and `W_max` of Algorithm 1.
 
     Attributes
     ----------
     max_length, max_width : float or None
         Upper bounds of the longer and the shorter extent of the axis-aligned box, pixels; None
         for no bound. A box that is too large keeps its centre.
+
+    Raises
+    ------
+    ValueError
+        If a bound is not positive.
+    TypeError
+        If a bound is no number.
     """
 
     max_length: float | None = None
@@ -99,11 +129,11 @@ class Caps:
     def __post_init__(self) -> None:
         """Check both bounds."""
         for name, value in vars(self).items():
-            if value is not None and not value > 0.0:
+            if value is not None and not require_number(name, value) > 0.0:
                 raise ValueError(f'{name} must be positive or None, not {value}')
 
     @property
-    def given(self) -> bool:
+    def bounded(self) -> bool:
         """Whether there is any bound."""
         return self.max_length is not None or self.max_width is not None
 
@@ -146,6 +176,7 @@ class Conversion:
 
 def convert(
     boxes: OrientedBoxes,
+    *,
     method: str = HullRule.method,
     q: float = HullRule.q,
     f: float = HullRule.f,
@@ -163,16 +194,16 @@ def convert(
     boxes : OrientedBoxes
         N boxes.
     method : str
-        A key of `obbhbb_ros.geometry.methods.METHODS`.
+        A key of `obbhbb_ros.METHODS`.
     q, f, s : float
-        Shape exponent in [1, inf], fullness and shrink factor in (0, 2]; used by the tunable
-        methods only.
+        Shape exponent in [1, inf], fullness and shrink factor in (0, 2]. Checked always, but used
+        only by the methods that have them, ``METHODS[method].tunable``.
     max_length, max_width : float, optional
         Upper bounds of the longer and the shorter extent of the result, pixels. A box that is too
         large keeps its centre.
     q_bow, q_stern : float, optional
         Shape exponents in [1, inf] of the two ends where ``boxes.bow``; default: q. Such a box is
-        not centred on the oriented box. Used by `superellipse` only.
+        not centred on the oriented box. Used only where ``METHODS[method].two_ended``.
 
     Returns
     -------
@@ -182,6 +213,8 @@ def convert(
 
     Raises
     ------
+    TypeError
+        If `boxes` are no `OrientedBoxes`, or a parameter is no number.
     ValueError
         If a parameter is out of range; the message names it.
 
@@ -210,6 +243,7 @@ def convert_by_rule(boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS) 
     >>> convert_by_rule(boxes, HullRule('outer'), Caps(max_length=50.0))
     array([[25., 30., 75., 50.]])
     """
+    _require_boxes(boxes)
     if boxes.regular:
         return _all_xyxy(boxes, rule, caps)
     with np.errstate(invalid='ignore', over='ignore'):
@@ -239,24 +273,25 @@ def centers_and_extents(
 
     Returns
     -------
-    center : ndarray, shape (2, N)
+    center : ndarray, shape (N, 2)
         x and y of the centres, pixels: those of the oriented boxes except where the bow is known
-        and its rule has `q_bow` or `q_stern`. Do not write to it: it may be ``boxes.center``.
-    half_extents : ndarray, shape (2, N)
-        Half-extents along x and y, pixels; columns are NaN where the box cannot be converted.
+        and its rule has `q_bow` or `q_stern`. Read-only where it is ``boxes.center``.
+    half_extents : ndarray, shape (N, 2)
+        Half-extents along x and y, pixels; rows are NaN where the box cannot be converted.
 
     Examples
     --------
     >>> boxes = OrientedBoxes.from_xywhr([[50, 40, 60, 20, np.pi / 4]] * 2, bow=True)
     >>> rules = HullRule('outer'), HullRule('superellipse', q_bow=1.0, q_stern=np.inf)
     >>> center, half_extents = centers_and_extents(boxes, rules, np.array([0, 1]))
-    >>> center.T.round(1)
+    >>> center.round(1)
     array([[50. , 40. ],
            [46.5, 36.5]])
-    >>> half_extents.T.round(1)
+    >>> half_extents.round(1)
     array([[28.3, 28.3],
            [24.7, 24.7]])
     """
+    _require_boxes(boxes)
     if boxes.regular:
         return _all_placed(boxes, rules, rule_of, caps)
     with np.errstate(invalid='ignore', over='ignore'):
@@ -264,7 +299,7 @@ def centers_and_extents(
         # The full size, which messages contain, is the first to overflow.
         farthest = np.abs(center) + 2.0 * extents
         if not math.isfinite(np.add.reduce(farthest, axis=None)):
-            extents[:, ~np.isfinite(farthest).all(axis=0)] = np.nan
+            extents[~np.isfinite(farthest).all(axis=1)] = np.nan
     return center, extents
 
 
@@ -275,13 +310,13 @@ def half_extents(
     caps: Caps = NO_CAPS,
 ) -> FloatArray:
     """
-    Compute the half-extents of `centers_and_extents` alone, (2, N).
+    Compute the half-extents of `centers_and_extents` alone, (N, 2).
 
     Examples
     --------
     >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]] * 2)
     >>> rules = HullRule('outer'), HullRule('superellipse', s=0.5)
-    >>> half_extents(boxes, rules, np.array([0, 1])).T
+    >>> half_extents(boxes, rules, np.array([0, 1]))
     array([[30., 10.],
            [15.,  5.]])
     """
@@ -297,8 +332,8 @@ def convert_with_diagnostics(
     Examples
     --------
     >>> boxes = OrientedBoxes.from_xywhr([[50.0, 40.0, 60.0, 20.0, 0.0]])
-    >>> found = convert_with_diagnostics(boxes, HullRule(), Caps(max_length=50.0))
-    >>> found.length, found.t_x, found.capped
+    >>> conversion = convert_with_diagnostics(boxes, HullRule(), Caps(max_length=50.0))
+    >>> conversion.length, conversion.t_x, conversion.capped
     (array([60.]), array([1.]), array([ True]))
     """
     xyxy = convert_by_rule(boxes, rule, caps)
@@ -309,35 +344,45 @@ def convert_with_diagnostics(
     with np.errstate(invalid='ignore', over='ignore'):
         across = across * (rule.f if method.tunable else 1.0)
         t = method.contact(along, across, rule.q)
-        if boxes.bow is not None and rule.uses_bow:
-            t = np.where(boxes.bow, method.contact(along, across, rule.ends[0]), t)
+        if rule.uses_bow:
+            t = np.where(boxes.bow[:, None], method.contact(along, across, rule.ends[0]), t)
     return Conversion(
         xyxy=xyxy,
         valid=valid,
         length=boxes.length,
         width=boxes.width,
         theta=boxes.theta,
-        t_x=np.where(valid, t[0], np.nan),
-        t_y=np.where(valid, t[1], np.nan),
+        t_x=np.where(valid, t[:, 0], np.nan),
+        t_y=np.where(valid, t[:, 1], np.nan),
         capped=valid & (xyxy != uncapped).any(axis=1),
     )
 
 
 def to_xyxy(center: FloatArray, extents: FloatArray, out: FloatArray | None = None) -> FloatArray:
     """
-    Combine centres and half-extents, (2, N) each, to boxes: x_min, y_min, x_max, y_max, (N, 4).
+    Combine centres and half-extents, (N, 2) each, to boxes: x_min, y_min, x_max, y_max, (N, 4).
 
-    The result is written to `out` if given; if not, each coordinate is contiguous in memory.
+    With `out` the result is written there. Without, each coordinate is contiguous in memory.
 
     Examples
     --------
-    >>> to_xyxy(np.array([[50.0], [40.0]]), np.array([[30.0], [10.0]]))
+    >>> to_xyxy(np.array([[50.0, 40.0]]), np.array([[30.0, 10.0]]))
     array([[20., 30., 80., 50.]])
     """
-    xyxy = np.empty((4, center.shape[1])).T if out is None else out
-    np.subtract(center, extents, out=xyxy[:, :2].T)
-    np.add(center, extents, out=xyxy[:, 2:].T)
+    xyxy = np.empty((4, len(center))).T if out is None else out
+    # Transposed, so that the inner loop runs over the boxes.
+    np.subtract(center.T, extents.T, out=xyxy[:, :2].T)
+    np.add(center.T, extents.T, out=xyxy[:, 2:].T)
     return xyxy
+
+
+def _require_boxes(boxes: Any) -> None:
+    """Raise TypeError if an argument is not `OrientedBoxes`."""
+    if not isinstance(boxes, OrientedBoxes):
+        raise TypeError(
+            f'boxes must be OrientedBoxes, not {type(boxes).__name__}: make them with '
+            'OrientedBoxes.from_xywhr, from_corners or from_polygons'
+        )
 
 
 def _all_xyxy(boxes: OrientedBoxes, rule: HullRule, caps: Caps) -> FloatArray:
@@ -357,48 +402,47 @@ def _all_placed(
     """Compute centres and half-extents of all boxes, block by block or rule by rule."""
     if rule_of is None and len(boxes) <= BLOCK:
         return _placed(boxes, rules[0], caps, slice(None))
-    center, extents = np.empty((2, 2, len(boxes)))
+    center, extents = np.empty((2, 2, len(boxes))).transpose(0, 2, 1)
     if rule_of is None:
-        for rows in blocks(len(boxes)):
-            center[:, rows], extents[:, rows] = _placed(boxes, rules[0], caps, rows)
+        for block in blocks(len(boxes)):
+            center[block], extents[block] = _placed(boxes, rules[0], caps, block)
     else:
         for index in np.unique(rule_of).tolist():
-            mine = np.flatnonzero(rule_of == index)
-            center[:, mine], extents[:, mine] = _placed(boxes, rules[index], caps, mine)
+            rows = np.flatnonzero(rule_of == index)
+            center[rows], extents[rows] = _placed(boxes, rules[index], caps, rows)
     return center, extents
 
 
 def _placed(
     boxes: OrientedBoxes, rule: HullRule, caps: Caps, rows: slice | NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
-    """Compute centres and half-extents of some rows, (2, n) each."""
+    """Compute centres and half-extents of some rows, (n, 2) each."""
     method = METHODS[rule.method]
     f = rule.f if method.tunable else 1.0
-    along, across = np.abs(boxes.first[:, rows]), np.abs(boxes.second[:, rows])
+    along, across = np.abs(boxes.first[rows]), np.abs(boxes.second[rows])
     if f != 1.0 or not method.symmetric:
         along, across = longer_first(along, across)
     if f != 1.0:
         across = across * f
-    center, extents = boxes.center[:, rows], method.half_extents(along, across, rule.q)
-    if boxes.bow is not None and rule.uses_bow:
+    center, extents = boxes.center[rows], method.half_extents(along, across, rule.q)
+    if rule.uses_bow:
         known = np.flatnonzero(boxes.bow[rows])
-        first = boxes.first[:, rows][:, known]
-        shift, extents[:, known] = _two_ended(first, across[:, known], rule)
-        center = center.copy()
-        center[:, known] += shift * rule.s
+        shift, extents[known] = _two_ended(boxes.first[rows][known], across[known], rule)
+        center = center.copy(order='K')
+        center[known] += shift * rule.s
     if method.tunable and rule.s != 1.0:
         extents *= rule.s
-    return center, _capped(extents, caps) if caps.given else extents
+    return center, _capped(extents, caps) if caps.bounded else extents
 
 
 def _two_ended(
     bow: FloatArray, across: FloatArray, rule: HullRule
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Project hulls of two half superellipses; `bow` points from the centre to the bow, (2, n).
+    Project hulls of two half superellipses; `bow` points from the centre to the bow, (n, 2).
 
     The half at the bow decides how far a hull reaches on the bow's side of the centre, that at the
-    stern how far on the other. Returns the shift of the centre and the half-extents, (2, n) each.
+    stern how far on the other. Returns the shift of the centre and the half-extents, (n, 2) each.
     """
     project, along = METHODS[rule.method].half_extents, np.abs(bow)
     ahead, astern = (0.5 * project(along, across, q) for q in rule.ends)
@@ -408,6 +452,6 @@ def _two_ended(
 def _capped(extents: FloatArray, caps: Caps) -> FloatArray:
     """Limit the longer extent to the maximum length, the shorter to the maximum width."""
     length, width = caps.max_length or np.inf, caps.max_width or np.inf
-    x_is_longer = extents[0] >= extents[1]
-    limits = np.where(x_is_longer, [[length], [width]], [[width], [length]])
+    x_is_longer = extents[:, 0] >= extents[:, 1]
+    limits = np.where(x_is_longer, [[length], [width]], [[width], [length]]).T
     return np.minimum(extents, limits / 2.0)

@@ -5,11 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
+
+__all__ = ['FITS', 'InputFrame']
 
 FITS = ('none', 'stretch', 'letterbox')
 
@@ -30,7 +33,7 @@ class InputFrame:
     Raises
     ------
     ValueError
-        If the size is needed and not given.
+        If the size is needed and missing.
 
     Examples
     --------
@@ -43,7 +46,7 @@ class InputFrame:
     fit: str = 'none'
 
     def __post_init__(self) -> None:
-        """Check that the size is given."""
+        """Check that there is a size."""
         if self.fit != 'none' and not all(self.size):
             raise ValueError(f'input_fit {self.fit} needs input_width and input_height')
 
@@ -126,8 +129,8 @@ class InputFrame:
         """
         Map boxes to the image.
 
-        A box is no rectangle any more where the image was stretched unequally; its mean edges are
-        taken, as `OrientedBoxes.from_corners` does.
+        Where the image was stretched unequally a box is no longer a rectangle; as in
+        `OrientedBoxes.from_corners`, its mean edges are used.
 
         Parameters
         ----------
@@ -143,20 +146,18 @@ class InputFrame:
         OrientedBoxes
             The boxes in the image; defects are kept.
         """
-        given = OrientedBoxes.from_xywhr(xywhr, bow)
-        center, ahead, aside = given.center, given.first, given.second
+        boxes = OrientedBoxes.from_xywhr(xywhr, bow=bow)
+        center, ahead, aside = boxes.center, boxes.first, boxes.second
         with np.errstate(over='ignore', invalid='ignore'):
-            # From the bow's end on.
+            # The first two are the bow end.
             corners = np.stack(
                 (
                     center + ahead - aside,
                     center + ahead + aside,
                     center - ahead + aside,
                     center - ahead - aside,
-                )
-            ).transpose(2, 0, 1)
-        known_bow = False if given.bow is None else given.bow
-        boxes = OrientedBoxes.from_corners(self.to_image(corners, image_size), known_bow)
-        known = ~given.valid
-        boxes.defects[known] = given.defects[known]
-        return boxes
+                ),
+                axis=1,
+            )
+        mapped = OrientedBoxes.from_corners(self.to_image(corners, image_size), bow=boxes.bow)
+        return replace(mapped, defects=np.where(boxes.valid, mapped.defects, boxes.defects))

@@ -11,8 +11,8 @@ length and of half its width on that axis::
 
 with θ the angle of the long axis from image +x. They are the absolute components of half the long
 and half the short edge of the oriented box, so no angle is computed. The functions take them as
-arrays of shape (2, N), pixels, not negative, with the shape exponent q in [1, inf], and return the
-half-extents of the axis-aligned box, shape (2, N), pixels. All are homogeneous of degree one: a
+arrays of shape (N, 2), pixels, not negative, with the shape exponent q in [1, inf], and return the
+half-extents of the axis-aligned box, shape (N, 2), pixels. All are homogeneous of degree one: a
 shrink factor or a ground sample distance can be applied before or after.
 
 Where the bow is known, `superellipse` is called once for each end with an exponent of its own. All
@@ -30,9 +30,11 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray: TypeAlias = NDArray[np.float64]
+from obbhbb_ros.geometry.boxes import FloatArray
+
+__all__ = ['METHODS', 'ONBOARD_METHODS', 'Method', 'get_method']
+
 Rule: TypeAlias = Callable[[FloatArray, FloatArray, float], FloatArray]
 
 # Prevents 0 / 0 if a hull has no extent at all.
@@ -51,22 +53,22 @@ def superellipse(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
 
     Parameters
     ----------
-    along, across : ndarray, shape (2, N)
+    along, across : ndarray, shape (N, 2)
         Projections of the half-length and of the half-width on x and y, pixels, not negative.
     q : float
         Shape exponent in [1, inf]: 1 is a rhombus, 2 an ellipse, infinity the rectangle.
 
     Returns
     -------
-    ndarray, shape (2, N)
+    ndarray, shape (N, 2)
         Half-extents along x and y, pixels.
 
     Examples
     --------
-    >>> along, across = np.array([[4.0], [0.0]]), np.array([[3.0], [10.0]])
-    >>> superellipse(along, across, q=2.0).T
+    >>> along, across = np.array([[4.0, 0.0]]), np.array([[3.0, 10.0]])
+    >>> superellipse(along, across, q=2.0)
     array([[ 5., 10.]])
-    >>> superellipse(along, across, q=np.inf).T
+    >>> superellipse(along, across, q=np.inf)
     array([[ 7., 10.]])
     """
     if q == 1.0:
@@ -96,7 +98,7 @@ def shape_aware(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
 
     Examples
     --------
-    >>> shape_aware(np.array([[4.0], [30.0]]), np.array([[4.0], [10.0]]), q=2.0).T
+    >>> shape_aware(np.array([[4.0, 30.0]]), np.array([[4.0, 10.0]]), q=2.0)
     array([[ 5., 30.]])
     """
     if q == 1.0:
@@ -134,21 +136,21 @@ def area_equivalent(along: FloatArray, across: FloatArray, q: float = np.inf) ->
     """Scale the outer box about its centre to the area L * W; `q` is ignored."""
     extent = along + across
     # along_x * across_y + along_y * across_x = a * b, a quarter of the oriented box's area.
-    area = along[0] * across[1] + along[1] * across[0]
-    outer_area = extent[0] * extent[1]
-    return extent * np.sqrt(area / np.maximum(outer_area, _TINY))
+    area = along[:, 0] * across[:, 1] + along[:, 1] * across[:, 0]
+    outer_area = extent[:, 0] * extent[:, 1]
+    return extent * np.sqrt(area / np.maximum(outer_area, _TINY))[:, None]
 
 
 def gaussian_published(along: FloatArray, across: FloatArray, q: float = 2.0) -> FloatArray:
     """Reproduce the paper's Gaussian baseline, which swaps x and y; `q` is ignored."""
-    return gaussian(along, across)[::-1]
+    return gaussian(along, across)[:, ::-1]
 
 
 def area_equivalent_published(
     along: FloatArray, across: FloatArray, q: float = np.inf
 ) -> FloatArray:
     """Reproduce the paper's area baseline, which always puts L on x; `q` is ignored."""
-    return np.stack((np.hypot(along[0], along[1]), np.hypot(across[0], across[1])))
+    return np.stack((np.hypot(*along.T), np.hypot(*across.T))).T
 
 
 def shape_aware_contact(along: FloatArray, across: FloatArray, q: float) -> FloatArray:
@@ -195,9 +197,9 @@ class Method:
     name : str
         Name in parameters, tables and plots.
     half_extents : callable
-        ``(along, across, q) -> half_extents``, all (2, N).
+        ``(along, across, q) -> half_extents``, all (N, 2).
     contact : callable
-        ``(along, across, q) -> t``, all (2, N); NaN if the rule does not touch a curve.
+        ``(along, across, q) -> t``, all (N, 2); NaN if the rule does not touch a curve.
     summary : str
         One line for tables and help texts.
     tunable : bool
@@ -275,7 +277,7 @@ ONBOARD_METHODS: tuple[str, ...] = tuple(m.name for m in METHODS.values() if m.o
 
 def get_method(name: str) -> Method:
     """
-    Look up a rule in `METHODS`; ValueError with the known names if there is none.
+    Look up a rule in `METHODS`; ValueError with the names of all if there is none.
 
     Examples
     --------

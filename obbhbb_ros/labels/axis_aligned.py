@@ -135,7 +135,7 @@ def convert_image(
         diagnostics=conversion,
     )
     left_out = {row: _reason(boxes, row) for row in np.flatnonzero(~finite).tolist()}
-    bows = 0 if boxes.bow is None else int(np.count_nonzero(boxes.bow))
+    bows = int(np.count_nonzero(boxes.bow))
     return ConvertedImage(converted, left_out, bows)
 
 

@@ -34,7 +34,6 @@ from vision_msgs.msg import ObjectHypothesisWithPose
 from obbhbb_ros.data import HARBOUR
 from obbhbb_ros.data import HARBOUR_SIZE
 from obbhbb_ros.geometry.boxes import FloatArray
-from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
@@ -198,7 +197,7 @@ def detections_message(
     `bow`, theta points to the bow; where that is not known, the size along theta is the width.
     """
     message = Detection2DArray(header=header)
-    for i, (x, y, length, width, theta) in enumerate(_xywhr(labels.boxes(bow)).tolist()):
+    for i, (x, y, length, width, theta) in enumerate(_xywhr(labels, bow).tolist()):
         detection = Detection2D(header=header, id=f'{labels.image}/{labels.ids[i] or i}')
         detection.bbox.center.position.x = x
         detection.bbox.center.position.y = y
@@ -213,16 +212,16 @@ def detections_message(
     return message
 
 
-def _xywhr(boxes: OrientedBoxes) -> FloatArray:
+def _xywhr(labels: ImageLabels, bow: BowSource) -> FloatArray:
     """Write boxes as `OrientedBoxes.from_xywhr` reads them, (N, 5)."""
-    rows = np.vstack((boxes.center, boxes.length, boxes.width, boxes.theta)).T
-    if boxes.bow is not None:
+    boxes = labels.boxes(bow)
+    rows = boxes.xywhr
+    if bow == 'first-edge' or (bow == 'labels' and labels.bow is not None):
         # A size along theta that is the shorter one says that the bow is not known.
         unknown = ~boxes.bow
         rows[unknown] = rows[unknown][:, [0, 1, 3, 2, 4]] + (0.0, 0.0, 0.0, 0.0, np.pi / 2.0)
         # Of a square as well.
         rows[unknown, 3] = np.maximum(rows[unknown, 3], rows[unknown, 2] * (1.0 + 1e-9))
-        rows[boxes.bow, 4] = np.arctan2(*boxes.first[::-1, boxes.bow])
     return rows
 
 

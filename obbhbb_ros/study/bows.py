@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +53,8 @@ def bow_sides(boxes: OrientedBoxes, hulls: Sequence[FloatArray | None]) -> NDArr
         if hull is None or not boxes.valid[row]
         else np.stack(
             (
-                (hull - center[:, row]) @ along[:, row] / (along[:, row] @ along[:, row]),
-                (hull - center[:, row]) @ across[:, row] / (across[:, row] @ across[:, row]),
+                (hull - center[row]) @ along[row] / (along[row] @ along[row]),
+                (hull - center[row]) @ across[row] / (across[row] @ across[row]),
             ),
             axis=1,
         )
@@ -70,7 +71,5 @@ def bow_sides(boxes: OrientedBoxes, hulls: Sequence[FloatArray | None]) -> NDArr
 
 def with_bows(boxes: OrientedBoxes, sides: NDArray[np.int8]) -> OrientedBoxes:
     """Return the same boxes with their bows known, from `bow_sides`."""
-    along = np.where(sides < 0, -boxes.long_axis, boxes.long_axis)
-    return OrientedBoxes(
-        boxes.center, along, boxes.short_axis, boxes.defects, boxes.regular, sides != 0
-    )
+    along = np.where(sides[:, None] < 0, -boxes.long_axis, boxes.long_axis)
+    return replace(boxes, first=along, second=boxes.short_axis, bow=sides != 0)

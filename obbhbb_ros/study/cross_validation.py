@@ -285,7 +285,7 @@ def held_out_boxes(
         for group in np.unique(groups[groups >= 0]):
             members = groups == group
             if rule := _group_rule(training, training_groups == group, of_group or calibrator):
-                boxes[members] = convert_by_rule(new.boxes.take(members), rule)
+                boxes[members] = convert_by_rule(new.boxes[members], rule)
         xyxy[rows] = boxes
     return xyxy
 

@@ -75,10 +75,10 @@ class Bench:
         if not ships.with_reference.all():
             raise ValueError('calibration needs a reference box for every ship')
         self._method = tunable(method)
-        self._along = np.abs(ships.boxes.long_axis)
-        self._across = np.abs(ships.boxes.short_axis)
-        self._low = ships.reference[:, :2].T - ships.boxes.center
-        self._high = ships.reference[:, 2:].T - ships.boxes.center
+        self._along = np.abs(ships.boxes.long_axis.T)
+        self._across = np.abs(ships.boxes.short_axis.T)
+        self._low = ships.reference[:, :2].T - ships.boxes.center.T
+        self._high = ships.reference[:, 2:].T - ships.boxes.center.T
         self._reference_area = area(ships.reference)
         self._outer_area = 4.0 * np.prod(self._along + self._across, axis=0)
 

@@ -138,7 +138,13 @@ def synthetic_ships(
     axes = np.stack((long_axis, short_axis)).transpose(2, 0, 1)
     hulls = [each @ turn + c for each, turn, c in zip(outlines, axes, center.T, strict=True)]
     return Ships(
-        boxes=OrientedBoxes(center, long_axis, short_axis, np.zeros(count, np.uint8)),
+        boxes=OrientedBoxes(
+            center.T,
+            long_axis.T,
+            short_axis.T,
+            defects=np.zeros(count, np.uint8),
+            bow=np.zeros(count, np.bool_),
+        ),
         reference=np.array([bounds(hull) for hull in hulls]),
         class_ids=np.array(names),
         image_of=np.arange(count),

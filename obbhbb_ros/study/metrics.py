@@ -90,7 +90,7 @@ def overlap_with_hbb(xyxy: FloatArray, reference: FloatArray) -> Overlap:
 def overlap_with_obb(xyxy: FloatArray, boxes: OrientedBoxes) -> Overlap:
     """Compare N boxes, (N, 4), pixels, with N oriented references; NaN where either is."""
     # Coordinates relative to the centre keep their digits.
-    center = boxes.center.T
+    center = boxes.center
     corners, local = boxes.corners - center[:, None], xyxy - np.tile(center, 2)
     known = np.isfinite(local).all(axis=1) & np.isfinite(corners).all(axis=(1, 2))
     shared = np.full(len(xyxy), np.nan)

@@ -111,7 +111,7 @@ class Ships:
         if not chosen.size:
             raise ValueError('no ships selected')
         return Ships(
-            boxes=self.boxes.take(chosen),
+            boxes=self.boxes[chosen],
             reference=self.reference[chosen],
             class_ids=self.class_ids[chosen],
             image_of=_numbered(self.image_of[chosen].tolist()),
@@ -144,8 +144,7 @@ class Ships:
     @property
     def with_bow(self) -> NDArray[np.bool_]:
         """Whether the bow of each ship is known, shape (N,)."""
-        bow = self.boxes.bow
-        return np.zeros(len(self), dtype=bool) if bow is None else bow
+        return self.boxes.bow
 
     @cached_property
     def outlines(self) -> NDArray[np.object_]:

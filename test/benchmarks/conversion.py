@@ -79,10 +79,10 @@ def polygon_loop(corners: np.ndarray) -> np.ndarray:
 def peers(corners: np.ndarray) -> dict[str, Callable[[], object]]:
     """Name everything that is measured; `superellipse` first."""
     boxes = OrientedBoxes.from_corners(corners)
-    rows = np.column_stack((boxes.center.T, boxes.length, boxes.width, boxes.theta))
+    rows = boxes.xywhr
     polygons = shapely.polygons(corners)
     found: dict[str, Callable[[], object]] = {
-        name: lambda name=name: convert(OrientedBoxes.from_corners(corners), name, 2.6)
+        name: lambda name=name: convert(OrientedBoxes.from_corners(corners), method=name, q=2.6)
         for name in METHODS
     }
     found['superellipse, q = 3'] = lambda: convert(OrientedBoxes.from_corners(corners), q=3.0)

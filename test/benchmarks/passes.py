@@ -135,7 +135,7 @@ class Scene:
         labels = harbour()
         boxes = OrientedBoxes.from_corners(labels.corners)
         self._labels, self._xyxy = labels, convert(boxes)
-        self._obb = np.column_stack((boxes.center.T, boxes.length, boxes.width, boxes.theta))
+        self._obb = boxes.xywhr
         cutter = ChipCutter(render(labels), PIXEL_FORMATS['rgb8'], CodecSettings(), print)
         self._chips = {
             region: cutter.cut(0, region)

@@ -40,5 +40,5 @@ def test_a_calibrated_node_gives_the_boxes_of_the_study(start, own, tmp_path) ->
 def rectangular(labels):
     """Square the corners, which the file rounds: a message has centre, size and angle only."""
     boxes = OrientedBoxes.from_corners(labels.corners)
-    rows = np.column_stack((*boxes.center, boxes.length, boxes.width, boxes.theta))
+    rows = boxes.xywhr
     return replace(labels, corners=OrientedBoxes.from_xywhr(rows).corners)

@@ -105,7 +105,7 @@ def test_regions_enclose_the_hull_of_crop_q_and_the_box(crops: Crops, method: st
     ship = (300.0, 200.0, 120.0, 30.0, 0.7)
     got = corners(crops([ship], method=method, crop__q=5.0))
     boxes = OrientedBoxes.from_xywhr([ship])
-    box, hull = convert(boxes, method), convert(boxes, q=5.0)
+    box, hull = convert(boxes, method=method), convert(boxes, q=5.0)
     low, high = np.minimum(box, hull)[:, :2], np.maximum(box, hull)[:, 2:]
     np.testing.assert_array_equal(got, np.hstack((np.floor(low), np.ceil(high))))
 
@@ -118,7 +118,7 @@ def test_a_class_has_its_own_hull_and_minimum_score(crops: Crops) -> None:
     got = crops(message, crop__min_score=0.5, **own)
     assert ids(got) == ['2', '1']
     boxes = OrientedBoxes.from_xywhr([(110.0, 100.0, 20.0, 10.0, 0.3)])
-    outer = convert(boxes, 'outer')[0]
+    outer = convert(boxes, method='outer')[0]
     np.testing.assert_array_equal(corners(got)[1], [*np.floor(outer[:2]), *np.ceil(outer[2:])])
 
 

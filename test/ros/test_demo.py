@@ -26,7 +26,7 @@ def test_the_node_converts_with_every_method(site: Site) -> None:
     found = boxes_by_method(labels)
     assert list(found) == list(ONBOARD_METHODS)
     for method, boxes in found.items():
-        expected = convert(OrientedBoxes.from_corners(labels.corners), method)
+        expected = convert(OrientedBoxes.from_corners(labels.corners), method=method)
         np.testing.assert_allclose(boxes, expected, rtol=0, atol=0.01, err_msg=method)
 
 

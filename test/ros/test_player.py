@@ -296,7 +296,7 @@ def boxes_sent(labels: ImageLabels, output_type: str) -> list[OrientedBoxes]:
     """Give what the node has to find in each message made of an image's labels."""
     if output_type in ('Detection2DArray', 'DetectionArray'):
         boxes = OrientedBoxes.from_corners(labels.corners)
-        rows = np.vstack((boxes.center, boxes.length, boxes.width, boxes.theta)).T
+        rows = boxes.xywhr
         return [OrientedBoxes.from_xywhr(rows)]
     if output_type == 'Polygon2DCollection':
         return [OrientedBoxes.from_polygons(labels.corners)]

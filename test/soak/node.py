@@ -51,7 +51,7 @@ class Soak(Node):
         self.peer.node.create_subscription(Detection2DArray, 'boxes', self._check, DEEP, raw=True)
         self._template = bytearray(detector_message(DETECTIONS))
         boxes = OrientedBoxes.from_xywhr(Detections(bytes(self._template)).xywhr())
-        self._sizes = [2.0 * half_extents(boxes, [rule]).T for rule in RULES]
+        self._sizes = [2.0 * half_extents(boxes, [rule]) for rule in RULES]
         self.sent = self.flips = self.rejected = self.mixed = self.unasked = 0
         self.by_rule = [0, 0]
         self.unanswered: set[int] = set()

@@ -71,9 +71,11 @@ def test_every_convention_gives_the_box_of_the_corners(name: str, method: str) -
     write, has = CONVENTIONS[name]
     written = [write(*rectangle) for rectangle in RECTANGLES]
     assert all(has(round(math.degrees(angle), 6)) for _, _, angle in written)
-    expected = convert(OrientedBoxes.from_corners([corners_of(*r) for r in RECTANGLES]), method)
+    expected = convert(
+        OrientedBoxes.from_corners([corners_of(*r) for r in RECTANGLES]), method=method
+    )
     boxes = OrientedBoxes.from_xywhr([(*CENTER, *each) for each in written])
-    np.testing.assert_allclose(convert(boxes, method), expected, atol=1e-6)
+    np.testing.assert_allclose(convert(boxes, method=method), expected, atol=1e-6)
 
 
 def test_an_angle_of_the_short_side_gives_another_box() -> None:

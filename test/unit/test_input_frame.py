@@ -54,7 +54,7 @@ def test_boxes_of_a_network_are_those_of_the_image(fit, image) -> None:
     turned = SHIPS if fit == 'letterbox' else SHIPS * (1, 1, 1, 1, 0) + (0, 0, 0, 0, np.pi / 2)
     ships = OrientedBoxes.from_xywhr(turned)
     given = OrientedBoxes.from_corners(to_network(ships.corners, image, (640, 640), fit))
-    rows = np.vstack((given.center, given.length, given.width, given.theta)).T
+    rows = given.xywhr
     detections = tuple(
         Detection(bbox=(x, y, theta, length, width), id=str(i))
         for i, (x, y, length, width, theta) in enumerate(rows)
@@ -64,7 +64,7 @@ def test_boxes_of_a_network_are_those_of_the_image(fit, image) -> None:
     settings = OBB_TO_HBB.settings(values)
     batch = Batch(data, INPUT_TYPES['Detection2DArray'], settings, image)
     found = Detections(batch.boxes_message()).xywhr()
-    expected = np.vstack((ships.center, 2.0 * half_extents(ships, settings.rules))).T
+    expected = np.hstack((ships.center, 2.0 * half_extents(ships, settings.rules)))
     np.testing.assert_allclose(found[:, :4], expected, atol=1e-6)
 
 
@@ -85,7 +85,7 @@ def test_polygons_of_a_network_are_those_of_the_image(fit) -> None:
     data = bytes([0, 1, 0, 0]) + bytes(writer.data)
     batch = Batch(data, INPUT_TYPES['Polygon2DCollection'], settings, image)
     found = Detections(batch.boxes_message()).xywhr()
-    expected = np.vstack((ships.center, 2.0 * half_extents(ships, settings.rules))).T
+    expected = np.hstack((ships.center, 2.0 * half_extents(ships, settings.rules)))
     np.testing.assert_allclose(found[:, :4], expected, atol=1e-6)
 
 

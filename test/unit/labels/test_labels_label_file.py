@@ -54,11 +54,14 @@ def test_the_bow_is_where_the_labels_say_or_at_every_first_edge_or_not_known() -
     upright = (0, 0, 4, 0, 4, 9, 0, 9)
     boxes = [Box(upright, 'ship', bow=True), Box(upright, 'ship'), Box((*upright[2:], 0, 0), '')]
     labels = assemble('P0706', boxes, None, Path('P0706.txt'))
-    assert labels.boxes().bow is None
+    assert not labels.boxes().bow.any()
     assert labels.boxes('labels').bow.tolist() == [True, False, False]
     # The first edge of the third box is a long side.
     assert labels.boxes('first-edge').bow.tolist() == [True, True, False]
-    assert assemble('P0706', boxes[1:], None, Path('P0706.txt')).boxes('labels').bow is None
+    assert assemble('P0706', boxes[1:], None, Path('P0706.txt')).boxes('labels').bow.tolist() == [
+        False,
+        False,
+    ]
     with pytest.raises(ValueError, match=r'bow must be one of none, labels, first-edge'):
         labels.boxes('theta')
 

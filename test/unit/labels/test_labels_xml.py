@@ -110,7 +110,7 @@ def test_the_head_point_of_an_hrsc_ship_is_its_bow(
     boxes = labels.boxes('labels')
     assert boxes.bow is not None
     assert boxes.bow.tolist() == [True]
-    np.testing.assert_allclose(boxes.first[:, 0], 30 * ahead)
+    np.testing.assert_allclose(boxes.first[0], 30 * ahead)
     (plain,) = read_labels(put('y.xml', HRSC.format(_hrsc_ship(size, angle, '0 0'))))
     np.testing.assert_array_equal(convert(labels.boxes(), f=0.9), convert(plain.boxes(), f=0.9))
 

@@ -58,7 +58,7 @@ def test_the_bow_is_where_the_hull_is_pointed_however_the_ship_lies(
 ) -> None:
     boxes = OrientedBoxes.from_xywhr([[x, y, length, length / slimness, theta]])
     sides = bow_sides(boxes, [placed(x, y, length, length / slimness, theta)])
-    bow = with_bows(boxes, sides).first[:, 0]
+    bow = with_bows(boxes, sides).first[0]
     assert bow == pytest.approx(np.array([np.cos(theta), np.sin(theta)]) * length / 2, abs=1e-6)
 
 

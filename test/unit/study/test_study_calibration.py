@@ -244,7 +244,7 @@ def alike(images, seed):
 
 def fleet_with(ships, reference):
     corners = ships.boxes
-    rows = np.column_stack((*corners.center, corners.length, corners.width, corners.theta))
+    rows = corners.xywhr
     return fleet(rows, reference, ships.class_ids, ships.image_of)
 
 
@@ -347,12 +347,7 @@ def test_classes_of_different_hulls_gain_by_rules_of_their_own() -> None:
     slim = made_by(HullRule('superellipse', 1.5), 80, 1)
     full = made_by(HullRule('superellipse', 9.0), 80, 2)
     both = fleet(
-        np.concatenate(
-            [
-                np.column_stack((*s.boxes.center, s.boxes.length, s.boxes.width, s.boxes.theta))
-                for s in (slim, full)
-            ]
-        ),
+        np.concatenate([s.boxes.xywhr for s in (slim, full)]),
         np.concatenate((slim.reference, full.reference)),
         ['yacht'] * 80 + ['barge'] * 80,
         range(160),

@@ -53,7 +53,7 @@ def test_parameters_given_to_evaluate_are_those_it_scores(capsys) -> None:
     arguments = ['--methods', 'superellipse', '--protocol', 'hbb', '--bootstrap', '0']
     assert main(['evaluate', str(REAL), *arguments, '--q', '4', '--f', '0.9', '--s', '1.02']) == 0
     ships = read_ships([REAL])
-    expected = iou(convert(ships.boxes, 'superellipse', 4.0, 0.9, 1.02), ships.reference).mean()
+    expected = iou(convert(ships.boxes, q=4.0, f=0.9, s=1.02), ships.reference).mean()
     assert f'4 / 0.9 / 1.02    {expected:.4f}' in capsys.readouterr().out
 
 

@@ -48,8 +48,8 @@ def two_classes(first, second, count=60):
     boxes = OrientedBoxes.from_xywhr(rows)
     reference = np.concatenate(
         (
-            convert_by_rule(boxes.take(slice(None, count)), first),
-            convert_by_rule(boxes.take(slice(count, None)), second),
+            convert_by_rule(boxes[:count], first),
+            convert_by_rule(boxes[count:], second),
         )
     )
     return fleet(rows, reference, ['yacht'] * count + ['barge'] * count, range(2 * count))
@@ -218,11 +218,11 @@ def test_coverage_states_its_scatter_over_images() -> None:
 def with_margin(margin, scale):
     """Ships whose references are a margin larger than their default boxes."""
     ships = two_classes(HullRule(), HullRule(), count=100)
-    boxes = OrientedBoxes(
-        ships.boxes.center,
-        ships.boxes.long_axis * scale,
-        ships.boxes.short_axis * scale,
-        ships.boxes.defects,
+    boxes = replace(
+        ships.boxes,
+        first=ships.boxes.long_axis * scale,
+        second=ships.boxes.short_axis * scale,
+        regular=False,
     )
     reference = convert_by_rule(boxes, HullRule()) + margin * np.array([-1, -1, 1, 1])
     return replace(ships, boxes=boxes, reference=reference)

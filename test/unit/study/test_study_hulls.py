@@ -102,8 +102,8 @@ def test_aspects_and_angles_are_free_and_evenly_spread() -> None:
 def test_the_hull_lies_in_its_oriented_box_and_the_reference_around_the_hull() -> None:
     ships = synthetic_ships(aspects=2, angles=3)
     for row, hull in enumerate(ships.hulls):
-        offset = hull - ships.boxes.center[:, row]
-        for axis in (ships.boxes.long_axis[:, row], ships.boxes.short_axis[:, row]):
+        offset = hull - ships.boxes.center[row]
+        for axis in (ships.boxes.long_axis[row], ships.boxes.short_axis[row]):
             assert np.abs(offset @ axis / (axis @ axis)).max() == pytest.approx(1.0)
         bounds = np.concatenate((hull.min(axis=0), hull.max(axis=0)))
         np.testing.assert_array_equal(ships.reference[row], bounds)

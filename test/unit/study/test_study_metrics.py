@@ -88,7 +88,7 @@ def test_outer_misses_nothing_of_the_oriented_box_and_its_iou_is_what_it_does_no
 ) -> None:
     # The paper's ShipRSImageNet table: 0.4929 = 1 - 0.5071, undershoot 0.
     boxes = OrientedBoxes.from_xywhr([(*oriented, theta)])
-    found = overlap_with_obb(convert(boxes, 'outer'), boxes)
+    found = overlap_with_obb(convert(boxes, method='outer'), boxes)
     assert found.undershoot[0] == pytest.approx(0.0, abs=1e-9)
     assert found.iou[0] == pytest.approx(1.0 - found.overshoot[0], abs=1e-9)
 
@@ -96,13 +96,13 @@ def test_outer_misses_nothing_of_the_oriented_box_and_its_iou_is_what_it_does_no
 @given(x=COORDINATE, y=COORDINATE, side=SIDE)
 def test_a_diagonal_square_fills_half_of_its_outer_box(x, y, side) -> None:
     boxes = OrientedBoxes.from_xywhr([(x, y, side, side, np.pi / 4)])
-    assert overlap_with_obb(convert(boxes, 'outer'), boxes).iou[0] == pytest.approx(0.5)
+    assert overlap_with_obb(convert(boxes, method='outer'), boxes).iou[0] == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize('method', METHODS)
 def test_iou_follows_from_overshoot_and_undershoot(method) -> None:
     ships = read_ships([REAL])
-    xyxy = convert(ships.boxes, method)
+    xyxy = convert(ships.boxes, method=method)
     for found in (overlap_with_obb(xyxy, ships.boxes), overlap_with_hbb(xyxy, ships.reference)):
         inside, kept = 1.0 - found.overshoot, 1.0 - found.undershoot
         np.testing.assert_allclose(1.0 / found.iou, 1.0 / inside + 1.0 / kept - 1.0)
@@ -118,7 +118,7 @@ def test_the_papers_order_of_methods_comes_out_against_the_oriented_box() -> Non
         'gaussian_published': {},
     }
     means = [
-        overlap_with_obb(convert(ships.boxes, name, **parameters), ships.boxes).iou.mean()
+        overlap_with_obb(convert(ships.boxes, method=name, **parameters), ships.boxes).iou.mean()
         for name, parameters in rules.items()
     ]
     assert means == sorted(means, reverse=True)
