@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import gc
 from argparse import ArgumentParser
 from argparse import Namespace
 from pathlib import Path
 
+from obbhbb_ros.commands.shared_options import without_garbage_collection
 from obbhbb_ros.study.progress import note
 from obbhbb_ros.study.progress import track
 
@@ -56,8 +56,7 @@ def run_bag(options: Namespace) -> int:
     """Write a recorded bag with the boxes and crop regions that the node would have sent."""
     from obbhbb_ros.bags import replay
 
-    gc.disable()
-    try:
+    with without_garbage_collection():
         tally = replay.add_boxes(
             options.source,
             options.target,
@@ -73,7 +72,5 @@ def run_bag(options: Namespace) -> int:
             report=lambda text: note(f'obbhbb: {text}'),
             progress=lambda messages, total: track(messages, 'converting', total, 'messages'),
         )
-    finally:
-        gc.enable()
     print(f'{tally}\nwritten: {options.target}')
     return 1 if options.strict and not tally.complete else 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands `obbhbb chips` and `gallery`: what chips cost, and what came down."""
+"""The commands `obbhbb chips` and `gallery`: what chips cost, and a page of received chips."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ import numpy as np
 from obbhbb_ros.commands.shared_options import add_number_options
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.files import write_text
-from obbhbb_ros.labels import image_files
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.labels.image_files import find_images
+from obbhbb_ros.labels.image_files import load_image
 from obbhbb_ros.study import chip_costs
 from obbhbb_ros.study import tables
 from obbhbb_ros.study.harbour import harbour
@@ -41,13 +42,13 @@ def run_chips(options: Namespace) -> int:
         what, source = 'a synthetic harbour (no real pixels)', harbour()
         pictures = [(source, chip_costs.render(source))]
     else:
-        found = list(read_labels(options.labels))
+        images = list(read_labels(options.labels))
         pictures = [
-            (each, np.atleast_3d(image_files.load_image(path)[1]))
-            for each, path in zip(found, image_files.find_images(found), strict=True)
+            (image, np.atleast_3d(load_image(path)[1]))
+            for image, path in zip(images, find_images(images), strict=True)
             if path is not None
         ]
-        what = f'{options.labels}, {len(pictures)} of {len(found)} images found'
+        what = f'{options.labels}, {len(pictures)} of {len(images)} images found'
     if not pictures:
         raise ValueError(f'no image found for the labels in {options.labels}')
     costs = chip_costs.chip_costs(pictures, CropSettings(padding=options.padding))
@@ -80,7 +81,7 @@ def run_gallery(options: Namespace) -> int:
     from obbhbb_ros.study.gallery import gallery_page
     from obbhbb_ros.study.gallery import read_received
 
-    # Resolved, as links from one to the other do not lead through symbolic links.
+    # Resolved, because relative links do not work through symbolic links.
     outbox, beside = options.outbox.resolve(), options.output.resolve().parent
     received = read_received(outbox)
     if not received.chips and not received.problems:

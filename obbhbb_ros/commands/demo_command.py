@@ -50,23 +50,23 @@ def run_demo(options: Namespace) -> int:
 
 
 def _record_demo(ships: ImageLabels, bag: Path | None, folder: Path) -> None:
-    """Record the nodes at work over a harbour, and keep what they saw; or say what that needs."""
+    """Record the nodes at work and keep their images, or print which extras are missing."""
     from obbhbb_ros.nodes import demo
 
     try:
         from obbhbb_ros.bags.recording import write_bag
 
-        frames = [(each, chip_costs.render(each)) for each in passing(ships, _DEMO_IMAGES)]
+        frames = [(image, chip_costs.render(image)) for image in passing(ships, _DEMO_IMAGES)]
     except ImportError as error:
         print(f'no bag, no overlay: {error}; they need the extras `bags` and `chips`')
         return
     messages = demo.record_chain(frames)
     write_bytes(folder / 'overlay.jpg', demo.last_overlay(messages))
     print(f'overlay: {folder / "overlay.jpg"}, the last picture of the node overlay')
-    for each, pixels in frames:
-        image = folder / 'frames' / f'{each.image}.jpg'
-        write_bytes(image, chips.encode(pixels, chips.CodecSettings('jpeg', quality=90)))
-    write_labels(folder / 'frames' / 'labels.csv', [each for each, _ in frames])
+    for image, pixels in frames:
+        jpeg = chips.encode(pixels, chips.CodecSettings('jpeg', quality=90))
+        write_bytes(folder / 'frames' / f'{image.image}.jpg', jpeg)
+    write_labels(folder / 'frames' / 'labels.csv', [image for image, _ in frames])
     print(f'frames:  {folder / "frames"}, {len(frames)} images and their labels')
     if bag is None:
         bag = folder / 'harbour_bag'

@@ -3,16 +3,17 @@
 
 from __future__ import annotations
 
-import gc
 import sys
 from argparse import ArgumentParser
 from argparse import Namespace
 from pathlib import Path
 
 from obbhbb_ros.commands.shared_options import PARAMETERS
+from obbhbb_ros.commands.shared_options import add_bow_option
 from obbhbb_ros.commands.shared_options import add_end_options
 from obbhbb_ros.commands.shared_options import add_number_options
 from obbhbb_ros.commands.shared_options import warn_of_ends
+from obbhbb_ros.commands.shared_options import without_garbage_collection
 from obbhbb_ros.geometry import converter
 from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.labels import FORMATS
@@ -26,7 +27,7 @@ def add_convert_options(parser: ArgumentParser) -> None:
     """Add the options of `obbhbb convert`."""
     add = parser.add_argument
     rule = converter.HullRule()
-    written = [name for name, each in FORMATS.items() if each.write_boxes is not None]
+    written = [name for name, form in FORMATS.items() if form.write_boxes is not None]
     add('source', metavar='IN', type=Path, help='label file or folder to read')
     add('target', metavar='OUT', type=Path, help='file or folder to write')
     add(
@@ -44,13 +45,7 @@ def add_convert_options(parser: ArgumentParser) -> None:
     add('--method', default=rule.method, help=f'{", ".join(METHODS)}; default: %(default)s')
     add_number_options(parser, rule, PARAMETERS)
     add_end_options(parser)
-    add(
-        '--bow',
-        choices=BOW_SOURCES,
-        default='none',
-        help='where the bow is known: labels: as the labels say (head points of hrsc); first-edge: '
-        'the first two corners of every box are its bow end; default: %(default)s',
-    )
+    add_bow_option(parser, BOW_SOURCES)
     add('--max-length', type=float, help='maximum of the longer side, pixels')
     add('--max-width', type=float, help='maximum of the shorter side, pixels')
     add(
@@ -74,15 +69,14 @@ def add_convert_options(parser: ArgumentParser) -> None:
 
 def run_convert(options: Namespace) -> int:
     """Convert label files of oriented boxes to label files of axis-aligned boxes."""
-    # Conversion makes many objects, and garbage collection would take a fifth of its time.
-    ends = {'q_bow': options.q_bow, 'q_stern': options.q_stern}
     warn_of_ends(options)
-    gc.disable()
-    try:
+    ends = {'q_bow': options.q_bow, 'q_stern': options.q_stern}
+    rule = converter.HullRule(options.method, options.q, options.f, options.s, **ends)
+    with without_garbage_collection():
         tally = convert_file(
             options.source,
             options.target,
-            converter.HullRule(options.method, options.q, options.f, options.s, **ends),
+            rule,
             converter.Caps(options.max_length, options.max_width),
             source_format=options.source_format,
             target_format=options.target_format,
@@ -92,8 +86,6 @@ def run_convert(options: Namespace) -> int:
             report=note,
             progress=lambda images, total: track(images, 'converting', total),
         )
-    finally:
-        gc.enable()
     print(tally)
     if not tally.readable:
         print(f'obbhbb: nothing to convert in {options.source}', file=sys.stderr)

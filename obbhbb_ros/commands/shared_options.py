@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options that several commands have, and what they select."""
+"""Options of several commands, and what commands share when they run."""
 
 from __future__ import annotations
 
+import gc
 from argparse import ArgumentParser
 from argparse import Namespace
+from collections.abc import Iterator
 from collections.abc import Mapping
+from collections.abc import Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from obbhbb_ros.geometry import converter
@@ -20,6 +24,11 @@ PARAMETERS = {
     'q': 'shape exponent, 1 to inf',
     'f': f'fullness, above 0, up to {converter.F_RANGE.high:g}',
     's': f'shrink factor, above 0, up to {converter.S_RANGE.high:g}',
+}
+BOW_MEANINGS = {
+    'labels': 'as the labels say (head points of hrsc)',
+    'first-edge': 'the first two corners of every box are its bow end',
+    'hull': 'the end of the hull with less area',
 }
 
 
@@ -41,13 +50,19 @@ def add_label_options(parser: ArgumentParser, count: str) -> None:
         metavar=('W', 'H'),
         help='size of every image, pixels, for normalised formats without images',
     )
-    add(
+    add_bow_option(parser, BOWS)
+
+
+def add_bow_option(parser: ArgumentParser, sources: Sequence[str]) -> None:
+    """Add the option that says where the bow of a ship is known."""
+    meanings = [
+        f'{source}: {meaning}' for source, meaning in BOW_MEANINGS.items() if source in sources
+    ]
+    parser.add_argument(
         '--bow',
-        choices=BOWS,
+        choices=sources,
         default='none',
-        help='where the bow is known: labels: as the labels say (head points of hrsc); first-edge: '
-        'the first two corners of every box are its bow end; hull: the end of the hull with less '
-        'area; default: %(default)s',
+        help=f'where the bow is known: {"; ".join(meanings)}; default: %(default)s',
     )
 
 
@@ -64,7 +79,7 @@ def add_end_options(parser: ArgumentParser) -> None:
 def add_number_options(
     parser: ArgumentParser, defaults: object, meanings: Mapping[str, str]
 ) -> None:
-    """Add options for numbers whose names, types and defaults are those of an object."""
+    """Add an option for each number, with the type and default of that attribute of an object."""
     for name, meaning in meanings.items():
         default = getattr(defaults, name)
         parser.add_argument(
@@ -73,13 +88,13 @@ def add_number_options(
 
 
 def warn_of_ends(options: Namespace) -> None:
-    """Say it if q_bow or q_stern is given, but no bow is known."""
+    """Warn that q_bow and q_stern do nothing if no bow is known."""
     if options.bow == 'none' and not options.q_bow is options.q_stern is None:
         note('obbhbb: --q-bow and --q-stern have no effect without --bow')
 
 
 def read_labelled_ships(options: Namespace) -> Ships:
-    """Read the ships; report malformed records, count them and leave them out."""
+    """Read the ships; malformed records are reported, counted and left out."""
     errors: list[LabelError] = []
 
     def report(error: LabelError) -> None:
@@ -96,8 +111,8 @@ def read_labelled_ships(options: Namespace) -> Ships:
         on_error=report,
     )
     if options.reference:
-        found = int(ships.with_reference.sum())
-        note(f'obbhbb: {found} of {len(ships)} ships have a box in {options.reference}')
+        count = int(ships.with_reference.sum())
+        note(f'obbhbb: {count} of {len(ships)} ships have a box in {options.reference}')
     if options.bow != 'none':
         note(f'obbhbb: the bow of {int(ships.with_bow.sum())} of {len(ships)} ships is known')
     if errors or ships.skipped:
@@ -106,3 +121,13 @@ def read_labelled_ships(options: Namespace) -> Ships:
             f'out, {len(ships)} ships read'
         )
     return ships
+
+
+@contextmanager
+def without_garbage_collection() -> Iterator[None]:
+    """Switch off garbage collection in a block: conversion creates many objects, but no cycles."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()

@@ -83,10 +83,10 @@ def run_evaluate(options: Namespace) -> int:
         print('no reference boxes: protocol obb only\n', file=sys.stderr)
         protocols = ('obb',)
     scores = evaluation.evaluate(ships, chosen, protocols, settings)
-    found = evaluation.offsets(ships, chosen, settings) if 'hbb' in protocols else []
-    print(tables.score_tables(scores, settings, found))
+    offsets = evaluation.offsets(ships, chosen, settings) if 'hbb' in protocols else []
+    print(tables.score_tables(scores, settings, offsets))
     if options.json:
-        evaluation.write_json(options.json, scores, settings, found)
+        evaluation.write_json(options.json, scores, settings, offsets)
     if options.csv:
         evaluation.write_csv(options.csv, scores)
     if options.plot:
