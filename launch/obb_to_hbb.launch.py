@@ -4,11 +4,11 @@
 from launch import LaunchDescription
 from obbhbb_ros.launching import argument
 from obbhbb_ros.launching import common_arguments
+from obbhbb_ros.launching import log_unused_files
 from obbhbb_ros.launching import node
 from obbhbb_ros.launching import nodes
 from obbhbb_ros.launching import params_file
 from obbhbb_ros.launching import state_file
-from obbhbb_ros.launching import unread
 
 TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions', 'crop_sources')
 
@@ -23,7 +23,7 @@ def generate_launch_description() -> LaunchDescription:
             *common_arguments(),
             nodes(
                 lambda value: [
-                    *unread(value('namespace'), {value('name'): [value('params_file')]}),
+                    *log_unused_files(value('namespace'), {value('name'): [value('params_file')]}),
                     node(
                         value,
                         'obb_to_hbb',

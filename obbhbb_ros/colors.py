@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The colours of the methods and of what is drawn over images: in charts, the report and nodes."""
+"""Colours of methods and layers, in charts, in the report and in the nodes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ METHOD_COLORS = {
     'area_equivalent_published': '#a9b1b7',
 }
 ORIENTED_COLOR = '#000000'
-"""Oriented boxes."""
+"""Colour of oriented boxes."""
 LAYER_COLORS = {
     'crop_regions': METHOD_COLORS['outer'],
     'boxes': METHOD_COLORS['superellipse'],
     'detections': ORIENTED_COLOR,
 }
-"""What can be drawn over an image, by its topic; the first below the others."""
+"""Colours of the layers that can be drawn over an image, by topic, the first at the bottom."""

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch files share: arguments, and nodes that are started again when they end."""
+"""The common part of the launch files: arguments, and nodes that are restarted when they exit."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from collections.abc import Iterable
 from collections.abc import Mapping
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from typing import TypeAlias
 
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument
@@ -21,6 +24,9 @@ from obbhbb_ros.settings.parameter_file import read_values
 
 PACKAGE = 'obbhbb_ros'
 
+ArgumentValue: TypeAlias = Callable[[str], str]
+"""From the name of a launch argument to its value."""
+
 
 def argument(name: str, default: str, meaning: str) -> Any:
     """Declare an argument."""
@@ -33,41 +39,19 @@ def params_file(name: str, node: str) -> Any:
     return argument(name, f'{share}/config/{node}.yaml', f'YAML file with parameters of {node}')
 
 
-def parameters_in(file: str, namespace: str, node: str) -> Mapping[str, Any]:
-    """Read the parameters of a node; none if that is not possible, as the node will say itself."""
-    try:
-        return read_values(Path(file), f'{namespace.strip("/")}/{node}')
-    except (OSError, ValueError):
-        return {}
-
-
-def unread(namespace: str, files: Mapping[str, Sequence[str]]) -> list[Any]:
-    """Say which of the parameter files of each node have no parameters for any of them."""
-    full = {node: f'/{namespace.strip("/")}/{node}'.replace('//', '/') for node in files}
-    readers: dict[str, list[str]] = {}
-    for node, each in files.items():
-        for file in each:
-            readers.setdefault(file, []).append(node)
-    return [
-        LogInfo(msg=f'{file}: no parameters for {", ".join(full[node] for node in nodes)}')
-        for file, nodes in readers.items()
-        if not any(parameters_in(file, namespace, node) for node in nodes)
-    ]
-
-
 def common_arguments() -> list[Any]:
-    """Declare the arguments of every launch file, and use the DDS profile if one asks for it."""
+    """Declare the arguments of every launch file, and apply the DDS profile if requested."""
     share = get_package_share_directory(PACKAGE)
     return [
         argument('namespace', '', 'namespace of nodes and topics'),
         argument('log_level', 'info', 'log level'),
-        argument('respawn', 'true', 'start a node again when it ends by itself'),
-        argument('respawn_delay', '1.0', 'seconds before that'),
+        argument('respawn', 'true', 'restart a node whenever it exits'),
+        argument('respawn_delay', '1.0', 'seconds to wait before a restart'),
         argument(
             'state',
             '',
-            'folder in which each run of a node tells the next one how it ended; by default as the '
-            'parameter files say',
+            'folder for the state files of the nodes, see the parameter state.path; by default as '
+            'in the parameter files',
         ),
         argument('large_messages', 'false', 'use the DDS profile for messages over 0.5 MB'),
         SetEnvironmentVariable(
@@ -78,33 +62,61 @@ def common_arguments() -> list[Any]:
     ]
 
 
-def state_file(value: Any, name: str) -> list[dict[str, str]]:
-    """Give the parameter for the state file of a node, if there is a folder for it."""
+def parameters_in(file: str, namespace: str, node: str) -> Mapping[str, Any]:
+    """Read the parameters of a node; none if the file is unusable, which the node will report."""
+    try:
+        return read_values(Path(file), f'{namespace.strip("/")}/{node}')
+    except (OSError, ValueError):
+        return {}
+
+
+def log_unused_files(namespace: str, files: Mapping[str, Sequence[str]]) -> list[Any]:
+    """Log the parameter files, listed by node, that have no parameters for any of their nodes."""
+    readers: dict[str, list[str]] = {}
+    for node, paths in files.items():
+        for path in paths:
+            readers.setdefault(path, []).append(node)
+    return [
+        LogInfo(
+            msg=f'{path}: no parameters for '
+            + ', '.join(f'/{namespace.strip("/")}/{node}'.replace('//', '/') for node in nodes)
+        )
+        for path, nodes in readers.items()
+        if not any(parameters_in(path, namespace, node) for node in nodes)
+    ]
+
+
+def state_file(value: ArgumentValue, name: str) -> list[dict[str, str]]:
+    """Return the parameter for the state file of a node, if the argument names a folder."""
     folder = '/'.join(filter(None, (value('state'), value('namespace').strip('/'))))
     return [{'state.path': f'{folder}/{name}.json'}] if value('state') else []
 
 
-def nodes(make: Any) -> Any:
+def nodes(describe: Callable[[ArgumentValue], Iterable[Any]]) -> Any:
     """
-    Start nodes when the arguments are known.
+    Start nodes once the arguments are known.
 
     Parameters
     ----------
-    make : callable
-        Called with a function from the name of an argument to its value; lists the nodes.
+    describe : callable
+        Lists the nodes, from a function from the name of an argument to its value.
     """
 
     def at_launch(context: Any) -> list[Any]:
-        return list(make(lambda name: LaunchConfiguration(name).perform(context)))
+        return list(describe(lambda name: LaunchConfiguration(name).perform(context)))
 
     return OpaqueFunction(function=at_launch)
 
 
 def node(
-    value: Any, executable: str, name: str, parameters: Sequence[Any], topics: Sequence[str]
+    value: ArgumentValue,
+    executable: str,
+    name: str,
+    parameters: Sequence[str | Mapping[str, str]],
+    topics: Sequence[str],
 ) -> Any:
     """
-    Describe a node under the common arguments.
+    Describe a node that follows the common arguments.
 
     Parameters
     ----------
@@ -115,12 +127,12 @@ def node(
     parameters : sequence of str or dict
         Parameter files and parameters; a later one wins.
     topics : sequence of str
-        Topics with an argument of the same name.
+        Topics that an argument of the same name remaps.
 
     Raises
     ------
     FileNotFoundError
-        If there is no such parameter file; the node would start with its defaults.
+        If a parameter file does not exist; the node would start with its defaults.
     """
     for file in parameters:
         if isinstance(file, str) and not Path(file).is_file():

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Launch files, run with something else in place of the nodes, to see how those would be started.
+Launch files, run with scripts in place of the nodes, to see how the nodes would be started.
 
-On a machine with ROS they go through `launch` itself, elsewhere through stand-ins for it.
+On a machine with ROS they are run by `launch` itself, elsewhere with stand-ins for it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from unittest.mock import patch
 
 ROOT = Path(__file__).parents[1]
 PROFILE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
-# The folder `launch` of the checkout can be imported too, so that one is no sign.
+# Not `launch`: the folder of that name in the checkout can be imported too.
 HAVE_LAUNCH = importlib.util.find_spec('launch_ros') is not None
 
 
@@ -45,32 +45,32 @@ class Started:
     respawn: bool
 
     def values(self, flag: str) -> list[str]:
-        """Give what stands behind each occurrence of a flag."""
+        """Return the value behind each occurrence of a flag."""
         return [value for name, value in pairwise(self.arguments) if name == flag]
 
     @property
     def remaps(self) -> dict[str, str]:
-        """Give the remaps, with name and namespace of the node among them."""
+        """Return the remaps, including name and namespace of the node."""
         return dict(value.split(':=') for value in self.values('-r'))
 
 
 @dataclass
 class Launched:
-    """What a launch file declares, with defaults below the package's folder, starts, and says."""
+    """What a launch file declares (paths relative to the package's folder), starts, and logs."""
 
     declared: dict[str, str]
     started: list[Started]
-    said: list[str]
+    logged: list[str]
 
 
-def launched(file: Path, given: Mapping[str, str] | None = None) -> Launched:
+def launched(file: Path, arguments: Mapping[str, str] | None = None) -> Launched:
     """Run a launch file with arguments."""
     with TemporaryDirectory() as folder:
-        found = (_by_launch if HAVE_LAUNCH else _by_stand_ins)(file, given or {}, Path(folder))
+        run = (_by_launch if HAVE_LAUNCH else _by_stand_ins)(file, arguments or {}, Path(folder))
         share = f'{folder}/share/obbhbb_ros/'
-        found = json.loads(json.dumps(found).replace(share, ''))
-    started = sorted((Started(*each) for each in found['started']), key=lambda s: s.executable)
-    return Launched(found['declared'], started, found['said'])
+        run = json.loads(json.dumps(run).replace(share, ''))
+    started = sorted((Started(*node) for node in run['started']), key=lambda s: s.executable)
+    return Launched(run['declared'], started, run['logged'])
 
 
 # The real one ---------------------------------------------------------------------------------
@@ -85,42 +85,43 @@ from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.utilities import perform_substitutions
 
-file, folder, given = sys.argv[1:]
+file, folder, arguments = sys.argv[1:]
 source = PythonLaunchDescriptionSource(file)
 context = LaunchContext()
 declared = {
-    each.name: perform_substitutions(context, each.default_value)
-    for each in source.get_launch_description(context).get_launch_arguments()
-    if each.description
+    argument.name: perform_substitutions(context, argument.default_value)
+    for argument in source.get_launch_description(context).get_launch_arguments()
+    if argument.description
 }
 (Path(folder) / 'declared').write_text(json.dumps(declared))
 service = LaunchService()
-include = IncludeLaunchDescription(source, launch_arguments=json.loads(given).items())
+include = IncludeLaunchDescription(source, launch_arguments=json.loads(arguments).items())
 service.include_launch_description(LaunchDescription([include]))
 sys.exit(service.run())
 """
 
-# In place of each executable; the first process of each ends at once. launch writes parameters to
-# files of its own.
+# In place of each executable; the first process of each exits at once. launch writes parameters
+# that are no file to files of its own.
 NODE = f"""#!{sys.executable}
 import json, os, signal, sys, yaml
 from pathlib import Path
-me = Path(sys.argv[0])
-arguments, own = sys.argv[1:], {{}}
+program = Path(sys.argv[0])
+arguments, parameters = sys.argv[1:], {{}}
 for at in [i for i, word in enumerate(arguments) if word == '--params-file'][::-1]:
     if Path(arguments[at + 1]).name.startswith('launch_params_'):
         (section,) = yaml.safe_load(Path(arguments[at + 1]).read_text()).values()
-        own.update(section['ros__parameters'])
+        parameters.update(section['ros__parameters'])
         del arguments[at : at + 2]
-before = list(me.parents[2].glob(me.name + '.*.started'))
-started = [me.name, arguments, os.environ.get({PROFILE!r}), own, bool(before)]
-(me.parents[2] / f'{{me.name}}.{{len(before)}}.started').write_text(json.dumps(started))
+folder, name = program.parents[2], program.name
+before = list(folder.glob(name + '.*.started'))
+started = [name, arguments, os.environ.get({PROFILE!r}), parameters, bool(before)]
+(folder / f'{{name}}.{{len(before)}}.started').write_text(json.dumps(started))
 if before:
     signal.sigwait([signal.SIGINT])
 """
 
 
-def _by_launch(file: Path, given: Mapping[str, str], folder: Path) -> dict[str, Any]:
+def _by_launch(file: Path, arguments: Mapping[str, str], folder: Path) -> dict[str, Any]:
     """Install scripts in place of the executables and launch them."""
     (folder / 'share' / 'obbhbb_ros').mkdir(parents=True)
     (folder / 'share' / 'obbhbb_ros' / 'config').symlink_to(ROOT / 'config')
@@ -129,10 +130,10 @@ def _by_launch(file: Path, given: Mapping[str, str], folder: Path) -> dict[str, 
     (index / 'obbhbb_ros').touch()
     programs = folder / 'lib' / 'obbhbb_ros'
     programs.mkdir(parents=True)
-    for each in entry_points(group='console_scripts'):
-        if each.value.startswith('obbhbb_ros.nodes.'):
-            (programs / each.name).write_text(NODE)
-            (programs / each.name).chmod(0o755)
+    for script in entry_points(group='console_scripts'):
+        if script.value.startswith('obbhbb_ros.nodes.'):
+            (programs / script.name).write_text(NODE)
+            (programs / script.name).chmod(0o755)
     prefixes = [str(folder), *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
     environment = {name: value for name, value in os.environ.items() if name != PROFILE} | {
         'AMENT_PREFIX_PATH': os.pathsep.join(filter(None, prefixes)),
@@ -140,23 +141,23 @@ def _by_launch(file: Path, given: Mapping[str, str], folder: Path) -> dict[str, 
     }
     with (folder / 'log').open('w') as log:
         process = subprocess.Popen(
-            [sys.executable, '-c', LAUNCH, file, folder, json.dumps(given)],
+            [sys.executable, '-c', LAUNCH, file, folder, json.dumps(arguments)],
             env=environment,
             stdout=log,
             stderr=log,
             cwd=folder,
         )
         try:
-            # Without respawn it ends by itself.
+            # Without respawn it exits by itself.
             process.wait(_settled(folder))
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0, (folder / 'log').read_text()
-    latest = {each.name.split('.')[0]: each for each in sorted(folder.glob('*.started'))}
+    latest = {path.name.split('.')[0]: path for path in sorted(folder.glob('*.started'))}
     return {
         'declared': json.loads((folder / 'declared').read_text()),
-        'started': [json.loads(each.read_text()) for each in latest.values()],
-        'said': re.findall(r'\[launch\.user\]: (.*)', (folder / 'log').read_text()),
+        'started': [json.loads(path.read_text()) for path in latest.values()],
+        'logged': re.findall(r'\[launch\.user\]: (.*)', (folder / 'log').read_text()),
     }
 
 
@@ -164,9 +165,9 @@ def _settled(folder: Path) -> float:
     """Wait until no node has been started for some seconds; return 0."""
     count, since = 0, time.monotonic()
     while time.monotonic() < since + 4.0:
-        found = len(list(folder.glob('*.started')))
-        if found != count:
-            count, since = found, time.monotonic()
+        started = len(list(folder.glob('*.started')))
+        if started != count:
+            count, since = started, time.monotonic()
         time.sleep(0.1)
     return 0.0
 
@@ -181,13 +182,13 @@ class Configuration(str):
         return str(self)
 
 
-def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[str, Any]:
-    """Give the file functions whose results do what they stand for, in the order described."""
+def _by_stand_ins(file: Path, arguments: Mapping[str, str], folder: Path) -> dict[str, Any]:
+    """Run the file with functions that return actions, and perform those in the order described."""
     defaults: dict[str, str] = {}
     declared: dict[str, str] = {}
     started: list[tuple[str, list[str], str | None, dict[str, str], bool]] = []
     environment: dict[str, str] = {}
-    said: list[str] = []
+    logged: list[str] = []
     (folder / 'share').mkdir()
     (folder / 'share' / 'obbhbb_ros').symlink_to(ROOT)
 
@@ -197,7 +198,7 @@ def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[st
         return lambda: declared.update({name: default_value})
 
     def configuration(name: str) -> Configuration:
-        return Configuration(given.get(name, defaults[name]))
+        return Configuration(arguments.get(name, defaults[name]))
 
     def set_variable(name: str, value: str, condition: bool = True) -> Callable[[], None]:
         return lambda: environment.update({name: value} if condition else {})
@@ -216,22 +217,22 @@ def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[st
         respawn_delay: float,
     ) -> Callable[[], None]:
         assert (package, output) == ('obbhbb_ros', 'screen')
-        arguments = [*ros_arguments, '-r', f'__node:={name}']
-        arguments += ['-r', f'__ns:=/{namespace.lstrip("/")}']
+        words = [*ros_arguments, '-r', f'__node:={name}']
+        words += ['-r', f'__ns:=/{namespace.lstrip("/")}']
         for path in parameters:
             if isinstance(path, str):
-                arguments += ['--params-file', path]
+                words += ['--params-file', path]
         for old, new in remappings:
-            arguments += ['-r', f'{old}:={new}']
+            words += ['-r', f'{old}:={new}']
         assert respawn_delay >= 0.0
-        own = {
+        values = {
             name: value
-            for each in parameters
-            if isinstance(each, dict)
-            for name, value in each.items()
+            for item in parameters
+            if isinstance(item, dict)
+            for name, value in item.items()
         }
         return lambda: started.append(
-            (executable, arguments, environment.get(PROFILE), own, respawn)
+            (executable, words, environment.get(PROFILE), values, respawn)
         )
 
     modules = {
@@ -239,7 +240,7 @@ def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[st
         'launch.actions': {
             'DeclareLaunchArgument': declare,
             'SetEnvironmentVariable': set_variable,
-            'LogInfo': lambda msg: lambda: said.append(msg),
+            'LogInfo': lambda msg: lambda: logged.append(msg),
             'OpaqueFunction': lambda function: lambda: [action() for action in function(None)],
         },
         'launch.conditions': {'IfCondition': 'true'.__eq__},
@@ -256,4 +257,4 @@ def _by_stand_ins(file: Path, given: Mapping[str, str], folder: Path) -> dict[st
     ):
         for action in runpy.run_path(str(file))['generate_launch_description']():
             action()
-    return {'declared': declared, 'started': started, 'said': said}
+    return {'declared': declared, 'started': started, 'logged': logged}

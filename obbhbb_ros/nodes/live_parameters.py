@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter tables as the parameters of a running node."""
+"""The parameters of a running node, declared and checked by its table."""
 
 from __future__ import annotations
 
@@ -48,39 +48,41 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def _plain(value: Any) -> Any:
-    """Return a parameter's value; numbers in a sequence come as an array from a service."""
+    """Return a parameter's value as a plain type; a service sends a list of numbers as an array."""
     return value.tolist() if isinstance(value, array) else value
 
 
 class LiveParameters(Generic[SettingsT]):
     """
-    A node's parameters, and the settings that they amount to.
+    The parameters of a node, and the settings made of them.
 
-    The parameters of a class are declared as long as the class is in `class_ids`, and always if
-    one of them was given at start.
+    The parameters of a class are declared while the class is in `class_ids`, and always if one of
+    them was set at start.
 
     Parameters
     ----------
     node : Node
-        Whose parameters they are.
+        The node.
     table : ParameterTable
-        Which they are.
+        Its parameters.
     overrides : mapping of str to rclpy.parameter.Parameter
-        What was given at start, by YAML or command line.
+        Values set at start, by YAML or command line.
 
     Attributes
     ----------
     settings : SettingsT
-        What is in force.
+        The settings in force.
     on_change : callable
         Called after every change.
+    unknown : list of str
+        Names of the values set at start that are no parameters of the node.
 
     Raises
     ------
     ValueError
-        If the values given at start do not fit together.
+        If the values set at start do not fit together.
     rclpy.exceptions.ParameterException
-        If one of them has the wrong type or is out of its range.
+        If one of them has the wrong type or is out of range.
     """
 
     def __init__(
@@ -89,7 +91,7 @@ class LiveParameters(Generic[SettingsT]):
         self._node = node
         self._table = table
         self.on_change: Callable[[], object] = lambda: None
-        self._given_classes = table.mentioned_classes(overrides)
+        self._classes_at_start = table.mentioned_classes(overrides)
         self._declared: dict[str, Parameter] = {}
         self._declare(table.parameters())
         self._follow_classes()
@@ -101,11 +103,11 @@ class LiveParameters(Generic[SettingsT]):
         node.add_post_set_parameters_callback(self._apply)
 
     def values(self) -> Values:
-        """All values in force, by name."""
+        """Return all values in force by name."""
         return {name: _plain(self._node.get_parameter(name).value) for name in self._declared}
 
     def notable_values(self) -> Values:
-        """Return the values worth reporting: parameters of a class only where they were set."""
+        """Return the values to report: of the parameters of a class only those that were set."""
         always = self._table.parameters()
         return {
             name: value
@@ -114,7 +116,7 @@ class LiveParameters(Generic[SettingsT]):
         }
 
     def _declare(self, parameters: Mapping[str, Parameter]) -> None:
-        """Declare parameters with what was given for them at start."""
+        """Declare parameters; rclpy takes their values from those set at start."""
         self._node.declare_parameters(
             '',
             [
@@ -125,8 +127,8 @@ class LiveParameters(Generic[SettingsT]):
         self._declared.update(parameters)
 
     def _follow_classes(self) -> None:
-        """Declare the parameters of the classes that there are now; undeclare those of others."""
-        class_ids = [*self._given_classes, *self._table.class_ids(self.values())]
+        """Declare the parameters of the present classes, and undeclare those of others."""
+        class_ids = [*self._classes_at_start, *self._table.class_ids(self.values())]
         wanted = self._table.parameters(class_ids)
         for name in self._declared.keys() - wanted.keys():
             del self._declared[name]
@@ -134,17 +136,16 @@ class LiveParameters(Generic[SettingsT]):
         self._declare({name: wanted[name] for name in wanted if name not in self._declared})
 
     def _proposed(self, changes: Sequence[RosParameter]) -> SettingsT:
-        """Make settings of the values in force with some changes."""
-        values = self.values()
-        values.update(
-            {each.name: _plain(each.value) for each in changes if each.name in self._declared}
-        )
-        return self._table.settings(values)
+        """Make settings of the values in force and some changes."""
+        changed = {
+            change.name: _plain(change.value) for change in changes if change.name in self._declared
+        }
+        return self._table.settings({**self.values(), **changed})
 
     def _validate(self, changes: Sequence[RosParameter]) -> SetParametersResult:
         """Accept or reject a set of changes as a whole; change nothing yet."""
         if not any(self._node.has_parameter(change.name) for change in changes):
-            # They are being declared, by us or by rclpy.
+            # They are being declared, by this class or by rclpy.
             return SetParametersResult(successful=True)
         if self._locked:
             return SetParametersResult(
@@ -158,9 +159,9 @@ class LiveParameters(Generic[SettingsT]):
         return SetParametersResult(successful=True)
 
     def _apply(self, changes: Sequence[RosParameter]) -> None:
-        """Put an accepted set in force, all of it at once."""
+        """Apply an accepted set as a whole."""
         if not any(change.name in self._declared for change in changes):
-            # Not of our table, or of a class that is being declared.
+            # Not in the table, or of a class that is being declared.
             return
         self.settings = self._proposed(changes)
         if any(change.name == 'class_ids' for change in changes):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter files as ROS reads them, without ROS."""
+"""Parameter files, read as ROS reads them, but without ROS."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def read_values(path: Path, node: str) -> Values:
     path : Path
         A YAML file as `--params-file` takes it.
     node : str
-        Full name of the node, such as '/obb_to_hbb'; the first slash may be missing.
+        Full name of the node, for example '/obb_to_hbb'; the first slash is optional.
 
     Returns
     -------
     dict of str to value
-        Values by parameter name, of all sections whose name fits; `*` stands for one part of a
-        name, `**` for any number of them. A section may be within those of its namespaces. A later
-        section wins.
+        Values by parameter name, from all sections whose name matches; `*` stands for one part of a
+        name, `**` for any number of parts. A section may be nested in those of its namespaces. A
+        later section wins.
 
     Raises
     ------
     ValueError
-        If the file is not such a file; the message names it.
+        If it is no parameter file, or has no parameters for the node; the message names the file.
     OSError
         If it cannot be read.
 
@@ -72,18 +72,18 @@ def yaml_value(value: Any) -> str:
 
 
 def _document(path: Path) -> Any:
-    """Read a YAML file; numbers are those of ROS."""
-    # Comes with ROS, and is needed without it only here.
+    """Read a YAML file, with numbers as ROS reads them."""
+    # Part of ROS; without ROS only this function needs it.
     import yaml
 
     class Loader(yaml.SafeLoader):  # type: ignore[misc]
-        """Takes 1e1 for a number as well, and no aliases, as ROS."""
+        """Reads 1e1 as a number and refuses aliases, as ROS does."""
 
         def compose_node(self, parent: Any, index: Any) -> Any:
-            """Compose what comes next, or refuse it."""
+            """Compose the next node, or refuse an alias."""
             if self.check_event(yaml.AliasEvent):
                 mark = self.peek_event().start_mark
-                raise yaml.composer.ComposerError(None, None, 'ROS takes no aliases', mark)
+                raise yaml.composer.ComposerError(None, None, 'ROS does not support aliases', mark)
             return super().compose_node(parent, index)
 
     Loader.add_implicit_resolver(
@@ -98,7 +98,7 @@ def _document(path: Path) -> Any:
 
 
 def _sections(content: Any, name: str = '') -> Iterator[tuple[str, Any]]:
-    """Yield the sections of a parameter file, those within namespaces too, by full name."""
+    """Yield the sections of a parameter file by full name, including those in namespaces."""
     yield name, content
     for key, inner in content.items() if isinstance(content, dict) else ():
         if key != 'ros__parameters':
@@ -106,9 +106,9 @@ def _sections(content: Any, name: str = '') -> Iterator[tuple[str, Any]]:
 
 
 def _parameters(path: Path, name: str, section: Any) -> Mapping[str, Any]:
-    """Return the parameters of a section; none if it is a namespace of others, or empty."""
+    """Return the parameters of a section; none if it only holds other sections, or is empty."""
     inner = section if isinstance(section, dict) else {name: section}
-    nested = all(isinstance(each, dict) for each in inner.values())
+    nested = all(isinstance(item, dict) for item in inner.values())
     if not nested and 'ros__parameters' not in inner:
         raise ValueError(f'{path}: no ros__parameters in {name}')
     parameters = inner.get('ros__parameters')
@@ -120,7 +120,7 @@ def _parameters(path: Path, name: str, section: Any) -> Mapping[str, Any]:
 
 
 def _flattened(section: Mapping[str, Any], prefix: str = '') -> Values:
-    """Write nested sections as names with dots."""
+    """Flatten nested sections to names with dots."""
     values: Values = {}
     for name, value in section.items():
         if isinstance(value, dict):

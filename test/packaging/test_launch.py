@@ -37,8 +37,8 @@ def test_the_conversion_node_is_launched_as_it_is() -> None:
     assert node.respawn
 
 
-def test_every_argument_of_the_conversion_node_counts(tmp_path: Path) -> None:
-    file = tmp_path / 'mine.yaml'
+def test_every_argument_of_the_conversion_node_applies(tmp_path: Path) -> None:
+    file = tmp_path / 'params.yaml'
     file.write_text('/**: {ros__parameters: {q: 2.0}}\n')
     topics = {topic: f'/other/{topic}' for topic in TOPICS}
     given = {
@@ -83,7 +83,7 @@ def test_the_downlink_is_three_nodes_each_with_its_parameters(monkeypatch) -> No
         assert node.respawn
 
 
-def test_every_argument_of_the_downlink_counts(tmp_path: Path) -> None:
+def test_every_argument_of_the_downlink_applies(tmp_path: Path) -> None:
     files = {name: tmp_path / f'{name}.yaml' for name in NODES}
     common = tmp_path / 'common.yaml'
     for file in (common, *files.values()):
@@ -125,7 +125,7 @@ def test_each_node_can_be_launched_alone(name: str) -> None:
     assert node.respawn
 
 
-def test_nodes_are_launched_by_choice() -> None:
+def test_some_of_the_nodes_can_be_launched() -> None:
     given = {'nodes': 'downlink, chip_extractor', 'spool': 'none', 'respawn': 'false'}
     ran = launched(DOWNLINK, given)
     assert [node.executable for node in ran.started] == ['chip_extractor', 'downlink']
@@ -143,15 +143,15 @@ def test_nodes_are_launched_by_choice() -> None:
     ],
 )
 @pytest.mark.parametrize('which', ['downlink_params_file', 'params_file'])
-def test_a_folder_of_the_parameter_file_counts_unless_another_is_given(
+def test_a_folder_in_the_parameter_file_applies_unless_an_argument_names_another(
     tmp_path: Path, which: str, section: str, given: dict[str, str], expected: set[str]
 ) -> None:
-    file = tmp_path / 'mine.yaml'
-    file.write_text(f'{section}: {{ros__parameters: {{spool.path: /mine, outbox.path: ""}}}}\n')
+    file = tmp_path / 'params.yaml'
+    file.write_text(f'{section}: {{ros__parameters: {{spool.path: /in/file, outbox.path: ""}}}}\n')
     arguments = {'nodes': 'downlink', 'namespace': 'payload', which: str(file)}
     (node,) = launched(DOWNLINK, arguments | given).started
     assert set(node.parameters) == expected
-    assert node.parameters.get('spool.path') != '/mine'
+    assert node.parameters.get('spool.path') != '/in/file'
 
 
 def test_each_namespace_has_folders_of_its_own_by_default(monkeypatch) -> None:
@@ -167,24 +167,24 @@ def test_each_namespace_has_folders_of_its_own_by_default(monkeypatch) -> None:
     ('file', 'argument'),
     [(CONVERTER, 'params_file'), (DOWNLINK, 'params_file'), (DOWNLINK, 'downlink_params_file')],
 )
-def test_a_parameter_file_without_parameters_for_a_node_is_said(
+def test_a_parameter_file_without_parameters_for_a_node_is_logged(
     tmp_path: Path, file: Path, argument: str
 ) -> None:
-    mine = tmp_path / 'mine.yaml'
-    mine.write_text('/elsewhere/downlink: {ros__parameters: {q: 2.0}}\n')
-    (said,) = launched(file, {argument: str(mine), 'namespace': 'payload'}).said
-    assert said.startswith(f'{mine}: no parameters for /payload/')
+    file_without = tmp_path / 'params.yaml'
+    file_without.write_text('/elsewhere/downlink: {ros__parameters: {q: 2.0}}\n')
+    (line,) = launched(file, {argument: str(file_without), 'namespace': 'payload'}).logged
+    assert line.startswith(f'{file_without}: no parameters for /payload/')
 
 
 @pytest.mark.parametrize('file', [CONVERTER, DOWNLINK], ids=lambda file: file.name)
-def test_a_parameter_file_that_there_is_not_starts_nothing(file: Path) -> None:
+def test_a_missing_parameter_file_starts_nothing(file: Path) -> None:
     with pytest.raises((FileNotFoundError, AssertionError), match='no such parameter file'):
         launched(file, {'params_file': '/no.yaml'})
 
 
 @pytest.mark.parametrize('file', [CONVERTER, DOWNLINK], ids=lambda file: file.name)
-def test_nothing_is_said_of_the_parameter_files_of_the_package(file: Path) -> None:
-    assert launched(file, {'namespace': 'payload'}).said == []
+def test_nothing_is_logged_about_the_parameter_files_of_the_package(file: Path) -> None:
+    assert launched(file, {'namespace': 'payload'}).logged == []
 
 
 @pytest.mark.parametrize('file', [CONVERTER, DOWNLINK], ids=lambda file: file.name)
@@ -199,6 +199,6 @@ def test_every_launch_file_is_tested_here() -> None:
     assert {*(ROOT / 'launch').glob('*.py')} == {CONVERTER, DOWNLINK}
 
 
-def test_a_node_that_there_is_not_is_not_launched() -> None:
+def test_an_unknown_node_is_refused() -> None:
     with pytest.raises((ValueError, AssertionError), match='nodes: overlays is none of obb_to_hbb'):
         launched(DOWNLINK, {'nodes': 'downlink overlays'})

@@ -100,7 +100,7 @@ def test_sections_may_be_nested_by_namespace(written, text, applies) -> None:
 @pytest.mark.parametrize(
     ('text', 'reason'),
     [
-        ('/**: &all {ros__parameters: {q: 5.0}, again: *all}', 'ROS takes no aliases'),
+        ('/**: &all {ros__parameters: {q: 5.0}, again: *all}', 'ROS does not support aliases'),
         ('/**: {ros__parameters: ' + '{a: ' * 2000 + '}' * 2001, 'recursion'),
     ],
     ids=['alias', 'deep'],
