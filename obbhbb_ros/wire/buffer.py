@@ -85,6 +85,11 @@ class Buffer:
         seconds, nanoseconds = self.numbers(0, 'iI')
         return seconds, nanoseconds
 
+    @property
+    def is_big_endian(self) -> bool:
+        """Whether the most significant byte of a number comes first."""
+        return self._order == '>'
+
     def numbers(self, place: int, codes: str) -> tuple[Any, ...]:
         """Read numbers, whose types are given as `struct` does."""
         return struct.unpack_from(self._order + codes, self._body, place)
@@ -138,9 +143,7 @@ class EditableBuffer(Buffer):
         return memoryview(copy)
 
     def make_little_endian(self, numbers: Iterable[tuple[int, IntArray]]) -> None:
-        """Reverse the bytes of all numbers, given as sizes in bytes and places, if need be."""
-        if self._order == '<':
-            return
+        """Reverse the bytes of all numbers, given as sizes in bytes and places."""
         for size, places in numbers:
             values = self.words.view(f'u{size}')
             values[places // size] = values[places // size].byteswap()

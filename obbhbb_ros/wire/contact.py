@@ -4,10 +4,7 @@
 from __future__ import annotations
 
 from obbhbb_ros.wire.layouts import BOOL
-from obbhbb_ros.wire.struct_message import StructMessage
-from obbhbb_ros.wire.walk import steps_of
-
-_BOOL = steps_of(BOOL)
+from obbhbb_ros.wire.walk import read_struct
 
 
 def read_contact(data: bytes) -> bool:
@@ -29,5 +26,5 @@ def read_contact(data: bytes) -> bool:
     obbhbb_ros.wire.buffer.WireError
         If the bytes are no such message.
     """
-    (value,) = StructMessage(data, _BOOL).numbers('data', 'B')
-    return bool(value)
+    buffer, places = read_struct(data, BOOL)
+    return buffer.numbers(places['data'], '?')[0]

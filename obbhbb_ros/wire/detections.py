@@ -21,13 +21,12 @@ from obbhbb_ros.wire.buffer import LITTLE_ENDIAN
 from obbhbb_ros.wire.buffer import IntArray
 from obbhbb_ros.wire.elements import read_elements
 from obbhbb_ros.wire.layouts import DETECTION_2D
-from obbhbb_ros.wire.layouts import HEADER
 from obbhbb_ros.wire.layouts import INPUT_TYPES
+from obbhbb_ros.wire.layouts import Field
 from obbhbb_ros.wire.layouts import InputType
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.transcode import as_detections
 from obbhbb_ros.wire.transcode import read_polygons
-from obbhbb_ros.wire.walk import steps_of
 from obbhbb_ros.wire.writing import padding
 from obbhbb_ros.wire.writing import text_bytes
 
@@ -36,13 +35,6 @@ if TYPE_CHECKING:
 
 ID_SEPARATOR = '|'
 
-_HEADER = steps_of(HEADER)
-_START = 'header.stamp.sec'
-_RESULTS = 'results'
-_CLASS = 'results.hypothesis.class_id'
-_SCORE = 'results.hypothesis.score'
-_BOX = 'bbox.center.position.x'
-_ID = 'id'
 # The message has x, y, theta, size x, size y; `OrientedBoxes` has theta last.
 _XYWHR = np.array([[0], [1], [3], [4], [2]])
 _BOX_BYTES = 8 * _XYWHR.size
@@ -84,19 +76,13 @@ class Detections:
     def __init__(
         self, data: bytes, input_type: InputType = INPUT_TYPES['Detection2DArray']
     ) -> None:
-        buffer, index = read_elements(
-            data,
-            _HEADER,
-            input_type.element_steps,
-            input_type.is_sequence,
-            input_type.tail_steps,
-        )
+        buffer, index = read_elements(data, input_type)
         self.polygons = read_polygons(buffer, index, input_type) if input_type.points else None
         if input_type.element is not DETECTION_2D:
             buffer, index = as_detections(buffer, index, input_type)
         self._buffer, self._index = buffer, index
         self._numbers = buffer.words.view(np.float64)
-        self._boxes_at = (index.places(_BOX) >> 3) + _XYWHR
+        self._boxes_at = (index.places(Field.BOX) >> 3) + _XYWHR
 
     def __len__(self) -> int:
         """Count the detections."""
@@ -143,7 +129,7 @@ class Detections:
 
     def ids(self) -> list[str]:
         """Read the id of each detection; bytes that are not UTF-8 are escaped."""
-        return [self._buffer.text(place) for place in self._index.places(_ID).tolist()]
+        return [self._buffer.text(place) for place in self._index.places(Field.ID).tolist()]
 
     def rewrite(self, xywh: FloatArray, rows: Any = slice(None)) -> bytes:
         """
@@ -239,10 +225,10 @@ class Detections:
             The serialized message, little-endian.
         """
         self._numbers[self._boxes_at[:, rows]] = boxes
-        scores_at = self._index.places(_SCORE) >> 3
+        scores_at = self._index.places(Field.SCORE) >> 3
         scores = self._numbers[scores_at]
         classes_at, _ = self._best_hypotheses
-        best = np.searchsorted(self._index.places(_CLASS), classes_at[rows])
+        best = np.searchsorted(self._index.places(Field.CLASS), classes_at[rows])
         with_class = classes_at[rows] > 0
         self._numbers[scores_at] = nan
         self._numbers[scores_at[best[with_class]]] = values[with_class]
@@ -300,14 +286,14 @@ class Detections:
     @cached_property
     def _hypotheses(self) -> tuple[IntArray, IntArray]:
         """How many hypotheses each detection has, and how many precede its first one; (N,)."""
-        counts = self._buffer.words[self._index.places(_RESULTS) >> 2].astype(np.int64)
+        counts = self._buffer.words[self._index.places(Field.RESULTS) >> 2].astype(np.int64)
         return counts, counts.cumsum() - counts
 
     @cached_property
     def _best_hypotheses(self) -> tuple[IntArray, FloatArray]:
         """Place of the class of each best hypothesis, 0 for none, and its score; (N,)."""
-        classes_at = self._index.places(_CLASS)
-        all_scores = self._numbers[self._index.places(_SCORE) >> 3]
+        classes_at = self._index.places(Field.CLASS)
+        all_scores = self._numbers[self._index.places(Field.SCORE) >> 3]
         counts, firsts = self._hypotheses
         if (counts == 1).all():
             return classes_at, all_scores
@@ -335,15 +321,17 @@ class Detections:
             bytes, that number, box, id, and end.
         """
         places = self._index.places
-        results, box = places(_RESULTS), places(_BOX)
+        results, box = places(Field.RESULTS), places(Field.BOX)
         fields_end, first = results + 4, box.copy()
         counts, firsts = self._hypotheses
         (rows,) = counts.nonzero()
-        classes_at = places(_CLASS)[firsts[rows]]
+        classes_at = places(Field.CLASS)[firsts[rows]]
         fields_end[rows] = classes_at + self._buffer.words[classes_at >> 2] + 7 & -4
-        first[rows] = places(_SCORE)[firsts[rows]]
+        first[rows] = places(Field.SCORE)[firsts[rows]]
         ends = np.asarray(self._index.ends, np.int64)
-        return np.stack((places(_START), results, fields_end, first, box, places(_ID), ends))
+        return np.stack(
+            (places(Field.START), results, fields_end, first, box, places(Field.ID), ends)
+        )
 
 
 # Row of `Detections._spans`.

@@ -10,12 +10,12 @@ at once, with arrays. For this, it must be known where each starts, which two fu
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
-from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import Any
+from typing import NamedTuple
 from typing import TypeAlias
 
 import numpy as np
@@ -23,14 +23,19 @@ import numpy as np
 from obbhbb_ros.wire.buffer import EditableBuffer
 from obbhbb_ros.wire.buffer import IntArray
 from obbhbb_ros.wire.buffer import WireError
+from obbhbb_ros.wire.layouts import HEADER
+from obbhbb_ros.wire.layouts import InputType
+from obbhbb_ros.wire.walk import AnyPlaces
+from obbhbb_ros.wire.walk import ArrayGaps
+from obbhbb_ros.wire.walk import ArrayPlaces
+from obbhbb_ros.wire.walk import Gaps
 from obbhbb_ros.wire.walk import Numbers
 from obbhbb_ros.wire.walk import Places
 from obbhbb_ros.wire.walk import Step
 from obbhbb_ros.wire.walk import Text
 from obbhbb_ros.wire.walk import UnevenError
 from obbhbb_ros.wire.walk import all_steps
-from obbhbb_ros.wire.walk import check_count
-from obbhbb_ros.wire.walk import min_bytes
+from obbhbb_ros.wire.walk import element_count
 from obbhbb_ros.wire.walk import number_places
 from obbhbb_ros.wire.walk import walk
 from obbhbb_ros.wire.walk import walk_all
@@ -56,31 +61,41 @@ class ElementIndex:
     count : int
         Number of elements.
     fields : mapping of str to sequence of int
-        By path, the place of the field in each element; see `Places`.
-    end : int
-        Place at which the last element ends.
+        By path, the place of the field in each element.
     ends : sequence of int
         Place at which each element ends.
+    end : int
+        Place at which the last element ends.
     """
 
     header_words: int
     count: int
-    fields: Mapping[str, Sequence[int] | IntArray]
-    end: int
+    fields: AnyPlaces
     ends: Sequence[int] | IntArray
+    end: int
 
     def places(self, path: str) -> IntArray:
         """Return the place of a field in each element; empty if no element has it."""
         return np.asarray(self.fields.get(path, ()), np.int64)
 
 
-def read_elements(
-    data: bytes,
-    header: Sequence[Step],
-    element: Sequence[Step],
-    is_sequence: bool = True,
-    tail: Sequence[Step] = (),
-) -> tuple[EditableBuffer, ElementIndex]:
+class _Span(NamedTuple):
+    """Elements to be located: place of the first one, steps over each, and how many there are."""
+
+    lengths: memoryview
+    start: int
+    steps: Sequence[Step]
+    elements: int
+
+    def walk(self, number: int, at: int, fields: Places, gaps: Gaps) -> int:
+        """Walk over one element; an error names it."""
+        try:
+            return walk(self.lengths, at, self.steps, fields, gaps)
+        except WireError as error:
+            raise WireError(f'element {number}: {error}') from None
+
+
+def read_elements(data: bytes, input_type: InputType) -> tuple[EditableBuffer, ElementIndex]:
     """
     Copy a message, and find the fields of its elements.
 
@@ -88,19 +103,13 @@ def read_elements(
     ----------
     data : bytes
         The serialized message.
-    header : sequence of Step
-        The steps over the header.
-    element : sequence of Step
-        The steps over an element, which begins with a number of four bytes.
-    is_sequence : bool
-        Whether the message has a sequence of elements, or just one.
-    tail : sequence of Step
-        The steps over whatever follows the elements, which is not copied.
+    input_type : InputType
+        Its type.
 
     Returns
     -------
     buffer : EditableBuffer
-        The message, little-endian, with zeros between its fields and behind its elements.
+        The message, little-endian, without the tail, and with zeros between its fields.
     index : ElementIndex
         Where the fields of the elements lie.
 
@@ -111,87 +120,65 @@ def read_elements(
     """
     buffer = EditableBuffer(data)
     lengths = buffer.lengths
+    gaps: Gaps = []
     header_fields: Places = defaultdict(list)
-    gaps: list[tuple[int, int]] = []
-    header_end = walk(lengths, 0, header, header_fields, gaps)
-    at = header_end + 3 & -4
-    gaps.append((header_end, at))
-    header_words, count = at >> 2, 1
-    if is_sequence:
-        count = _element_count(lengths, at, element)
-        at += 4
-    fields, ends = _locate(buffer, at, element, count, gaps)
-    end = int(ends[-1]) if count else at
-    buffer.check_end(walk(lengths, end, tail, defaultdict(list), []))
+    header_end = walk(lengths, 0, HEADER, header_fields, gaps)
+    start = header_end + 3 & -4
+    gaps.append((header_end, start))
+    header_words, count = start >> 2, 1
+    if input_type.is_sequence:
+        count = element_count(lengths, start, input_type.element)
+        start += 4
+    fields, ends = _locate(_Span(lengths, start, input_type.element, count), buffer, gaps)
+    end = int(ends[-1]) if count else start
+    buffer.check_end(walk(lengths, end, input_type.tail, defaultdict(list), []))
     # Between fields and behind the last one, writers leave whatever was in memory.
     gaps.append((end, 4 * len(buffer.words)))
     buffer.clear(gaps)
-
-    def numbers() -> Iterator[tuple[int, IntArray]]:
-        yield from number_places(lengths, header, header_fields)
-        if is_sequence:
-            yield 4, np.array([4 * header_words])
-        yield from number_places(lengths, element, fields)
-
-    buffer.make_little_endian(numbers())
-    return buffer, ElementIndex(header_words, count, fields, end, ends)
-
-
-def _element_count(lengths: memoryview, place: int, element: Sequence[Step]) -> int:
-    """Read how many elements a message has."""
-    if place >> 2 >= len(lengths):
-        raise WireError(f'the message ends before the number of its elements, at byte {place}')
-    count: int = lengths[place >> 2]
-    check_count('message', count, min_bytes(element), 4 * len(lengths) - place - 4)
-    return count
+    if buffer.is_big_endian:
+        buffer.make_little_endian(
+            chain(
+                number_places(lengths, HEADER, header_fields),
+                [(4, np.arange(4 * header_words, start, 4))],
+                number_places(lengths, input_type.element, fields),
+            )
+        )
+    return buffer, ElementIndex(header_words, count, fields, ends, end)
 
 
 def _locate(
-    buffer: EditableBuffer,
-    start: int,
-    element: Sequence[Step],
-    count: int,
-    gaps: list[tuple[int, int]],
-) -> tuple[Mapping[str, Sequence[int] | IntArray], Sequence[int] | IntArray]:
-    """Find the fields of elements, and where each ends; gaps between them are added or cleared."""
-    if count >= _MIN_AT_ONCE:
-        located = _locate_all_at_once(buffer, start, element, count)
+    span: _Span, buffer: EditableBuffer, gaps: Gaps
+) -> tuple[AnyPlaces, Sequence[int] | IntArray]:
+    """Find the fields of elements, and where each ends; gaps in them are added or cleared."""
+    if span.elements >= _MIN_AT_ONCE:
+        located = _locate_all_at_once(span, buffer)
         if located is not None:
             return located
-    return _locate_one_by_one(buffer.lengths, start, element, count, gaps)
+    return _locate_one_by_one(span, gaps)
 
 
-def _locate_one_by_one(
-    lengths: memoryview,
-    start: int,
-    element: Sequence[Step],
-    count: int,
-    gaps: list[tuple[int, int]],
-) -> tuple[Places, list[int]]:
+def _locate_one_by_one(span: _Span, gaps: Gaps) -> tuple[Places, list[int]]:
     """Walk over one element after another."""
     fields: Places = defaultdict(list)
     ends = []
-    at = start
-    for number in range(count):
-        at = _walk_element(lengths, at, element, number, fields, gaps)
+    at = span.start
+    for number in range(span.elements):
+        at = span.walk(number, at, fields, gaps)
         ends.append(at)
     return fields, ends
 
 
-def _locate_all_at_once(
-    buffer: EditableBuffer, start: int, element: Sequence[Step], count: int
-) -> tuple[dict[str, IntArray], IntArray] | None:
+def _locate_all_at_once(span: _Span, buffer: EditableBuffer) -> tuple[ArrayPlaces, IntArray] | None:
     """Walk over all elements together; None if that fails, as where sequences differ in length."""
-    lengths = np.asarray(buffer.lengths)
     # Each of these takes longer than the one before, and fails less often.
     for find_starts in (_likely_starts, partial(_learned_starts, max_lengths=2), _learned_starts):
-        fields: dict[str, IntArray] = {}
-        gaps: list[tuple[IntArray, IntArray]] = []
+        fields: ArrayPlaces = {}
+        gaps: ArrayGaps = []
         try:
-            starts = find_starts(buffer.lengths, start, element, count)
-            if len(starts) != count or starts[0] != start:
+            starts = find_starts(span)
+            if len(starts) != span.elements or starts[0] != span.start:
                 continue
-            ends = walk_all(lengths, starts, element, fields, gaps)
+            ends = walk_all(np.asarray(span.lengths), starts, span.steps, fields, gaps)
         except (IndexError, UnevenError, WireError):
             continue
         # The elements start there for certain if each ends where the next one starts.
@@ -203,19 +190,17 @@ def _locate_all_at_once(
     return None
 
 
-def _likely_starts(
-    lengths: memoryview, start: int, element: Sequence[Step], count: int
-) -> IntArray:
+def _likely_starts(span: _Span) -> IntArray:
     """
     Find where the first string of the first element, and the length behind it, occur again.
 
     In most messages it is the frame_id, and all elements have the same.
     """
-    if [step.kind for step in element[:2]] != [Numbers, Text]:
+    if [step.kind for step in span.steps[:2]] != [Numbers, Text]:
         return np.array([], np.int64)
-    before, _, behind = element[:3]
-    words = np.asarray(lengths)
-    first = start + before.length >> 2
+    before, _, behind = span.steps[:3]
+    words = np.asarray(span.lengths)
+    first = span.start + before.length >> 2
     # There is such a word: the message has bytes enough for the smallest elements.
     length = int(words[first])
     marks = [*range(min(1 + length // 4, _MAX_WORDS))]
@@ -230,24 +215,18 @@ def _likely_starts(
     return 4 * places - before.length
 
 
-def _learned_starts(
-    lengths: memoryview,
-    start: int,
-    element: Sequence[Step],
-    count: int,
-    max_lengths: int | None = None,
-) -> IntArray:
+def _learned_starts(span: _Span, max_lengths: int | None = None) -> IntArray:
     """
     Go from element to element, and walk only over those unlike any before.
 
     An element whose strings and sequences are as long as those of an earlier one has its size. With
     `max_lengths`, only this many of them are compared.
     """
-    starts = []
+    lengths, starts = span.lengths, []
     # Elements that start at an even and at an odd word have other padding.
     trees: tuple[_SizeTree, _SizeTree] = ({}, {})
-    at = start
-    for number in range(count):
+    at = span.start
+    for number in range(span.elements):
         at = at + 3 & -4
         starts.append(at)
         node: Any = trees[at >> 2 & 1]
@@ -257,17 +236,17 @@ def _learned_starts(
             at += node
         except (IndexError, KeyError):
             fields: Places = defaultdict(list)
-            end = _walk_element(lengths, at, element, number, fields, [])
-            places = _length_places(element, fields)[:max_lengths]
+            end = span.walk(number, at, fields, [])
+            places = _length_places(span.steps, fields)[:max_lengths]
             _learn(trees[at >> 2 & 1], lengths, at, end, places)
             at = end
     return np.array(starts, np.int64)
 
 
-def _length_places(element: Sequence[Step], fields: Places) -> list[int]:
+def _length_places(steps: Sequence[Step], fields: Places) -> list[int]:
     """List the places of all lengths in an element, in order."""
-    steps = (step for step in all_steps(element) if step.kind is not Numbers)
-    return sorted(place for step in steps for place in fields[step.path])
+    kinds = (step for step in all_steps(steps) if step.kind is not Numbers)
+    return sorted(place for step in kinds for place in fields[step.path])
 
 
 def _learn(
@@ -279,18 +258,3 @@ def _learn(
         tree = tree.setdefault(lengths[place >> 2], {})
     tree[_OFFSET] = places[-1] - start
     tree[lengths[places[-1] >> 2]] = end - start
-
-
-def _walk_element(
-    lengths: memoryview,
-    at: int,
-    element: Sequence[Step],
-    number: int,
-    fields: Places,
-    gaps: list[tuple[int, int]],
-) -> int:
-    """Walk over one element; an error names it."""
-    try:
-        return walk(lengths, at, element, fields, gaps)
-    except WireError as error:
-        raise WireError(f'element {number}: {error}') from None

@@ -9,14 +9,10 @@ from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.layouts import CAMERA_INFO
 from obbhbb_ros.wire.layouts import IMAGE
 from obbhbb_ros.wire.stamp import Stamp
-from obbhbb_ros.wire.struct_message import StructMessage
-from obbhbb_ros.wire.walk import steps_of
+from obbhbb_ros.wire.walk import read_struct
 
 IMAGE_SIZE_LIMIT = 1_000_000
 """Maximum width and height of an image for which crop regions are planned, pixels."""
-
-_IMAGE = steps_of(IMAGE)
-_CAMERA_INFO = steps_of(CAMERA_INFO)
 
 
 @dataclass(frozen=True)
@@ -70,17 +66,19 @@ def read_image(data: bytes) -> WireImage:
     WireError
         If the bytes are no such message.
     """
-    message = StructMessage(data, _IMAGE)
-    height, width = message.numbers('height', '2I')
+    buffer, places = read_struct(data, IMAGE)
+    height, width = buffer.numbers(places['height'], '2I')
+    (step,) = buffer.numbers(places['step'], 'I')
+    (is_bigendian,) = buffer.numbers(places['is_bigendian'], '?')
     return WireImage(
-        stamp=message.stamp,
-        frame_id=message.text('header.frame_id'),
-        encoding=message.text('encoding'),
+        stamp=buffer.stamp,
+        frame_id=buffer.text(places['header.frame_id']),
+        encoding=buffer.text(places['encoding']),
         width=width,
         height=height,
-        step=message.numbers('step', 'I')[0],
-        is_bigendian=message.numbers('is_bigendian', 'B')[0] != 0,
-        data=message.content('data'),
+        step=step,
+        is_bigendian=is_bigendian,
+        data=buffer.content(places['data']),
     )
 
 
@@ -103,9 +101,9 @@ def read_image_size(data: bytes) -> tuple[int, int]:
     WireError
         If the bytes are no such message, or a side is longer than `IMAGE_SIZE_LIMIT`.
     """
-    message = StructMessage(data, _CAMERA_INFO)
-    height, width = message.numbers('height', '2I')
-    binning_x, binning_y, _, _, roi_height, roi_width = message.numbers('binning_x', '6I')
+    buffer, places = read_struct(data, CAMERA_INFO)
+    height, width = buffer.numbers(places['height'], '2I')
+    binning_x, binning_y, _, _, roi_height, roi_width = buffer.numbers(places['binning_x'], '6I')
     if roi_width and roi_height:
         width, height = roi_width, roi_height
     width, height = width // max(binning_x, 1), height // max(binning_y, 1)

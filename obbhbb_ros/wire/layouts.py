@@ -8,9 +8,8 @@ with class, score, id and box.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from dataclasses import field
-from functools import cached_property
 
 from obbhbb_ros.wire.walk import Array
 from obbhbb_ros.wire.walk import Many
@@ -24,18 +23,18 @@ _UINT8 = Numbers(1)
 _INT32 = _UINT32 = Numbers(4)
 _FLOAT64 = Numbers(8)
 
-HEADER: Struct = {'stamp': {'sec': _INT32, 'nanosec': _UINT32}, 'frame_id': Text()}
+_HEADER: Struct = {'stamp': {'sec': _INT32, 'nanosec': _UINT32}, 'frame_id': Text()}
 
-HYPOTHESIS: Struct = {
+_HYPOTHESIS: Struct = {
     'hypothesis': {'class_id': Text(), 'score': _FLOAT64},
     'pose': {
         'pose': {'position': Numbers(8, 3), 'orientation': Numbers(8, 4)},
         'covariance': Numbers(8, 36),
     },
 }
-DETECTION_2D: Struct = {
-    'header': HEADER,
-    'results': Many(HYPOTHESIS),
+_DETECTION_2D: Struct = {
+    'header': _HEADER,
+    'results': Many(_HYPOTHESIS),
     'bbox': {
         'center': {'position': {'x': _FLOAT64, 'y': _FLOAT64}, 'theta': _FLOAT64},
         'size_x': _FLOAT64,
@@ -43,7 +42,7 @@ DETECTION_2D: Struct = {
     },
     'id': Text(),
 }
-YOLO_DETECTION: Struct = {
+_YOLO_DETECTION: Struct = {
     'class_id': _INT32,
     'class_name': Text(),
     'score': _FLOAT64,
@@ -64,12 +63,12 @@ YOLO_DETECTION: Struct = {
         'frame_id': Text(),
     },
 }
-POLYGON_2D: Struct = {'points': Array(8, 2)}
-POLYGON: Struct = {'polygon': {'points': Array(4, 3)}}
+_POLYGON_2D: Struct = {'points': Array(8, 2)}
+_POLYGON: Struct = {'polygon': {'points': Array(4, 3)}}
 
-BOOL: Struct = {'data': _UINT8}
-IMAGE: Struct = {
-    'header': HEADER,
+_BOOL: Struct = {'data': _UINT8}
+_IMAGE: Struct = {
+    'header': _HEADER,
     'height': _UINT32,
     'width': _UINT32,
     'encoding': Text(),
@@ -77,8 +76,8 @@ IMAGE: Struct = {
     'step': _UINT32,
     'data': Array(1),
 }
-CAMERA_INFO: Struct = {
-    'header': HEADER,
+_CAMERA_INFO: Struct = {
+    'header': _HEADER,
     'height': _UINT32,
     'width': _UINT32,
     'distortion_model': Text(),
@@ -97,6 +96,23 @@ CAMERA_INFO: Struct = {
     },
 }
 
+HEADER = steps_of(_HEADER)
+DETECTION_2D = steps_of(_DETECTION_2D)
+BOOL = steps_of(_BOOL)
+IMAGE = steps_of(_IMAGE)
+CAMERA_INFO = steps_of(_CAMERA_INFO)
+
+
+class Field:
+    """Paths of the fields of a `vision_msgs/Detection2D`."""
+
+    START = 'header.stamp.sec'
+    RESULTS = 'results'
+    CLASS = 'results.hypothesis.class_id'
+    SCORE = 'results.hypothesis.score'
+    BOX = 'bbox.center.position.x'
+    ID = 'id'
+
 
 @dataclass(frozen=True)
 class InputType:
@@ -109,12 +125,12 @@ class InputType:
         Where ROS finds the message type.
     topic : str
         Default name of the topic.
-    element : Struct
-        A detection.
+    element : sequence of Step
+        The steps over a detection, which begins with a number of four bytes.
     is_sequence : bool
         Whether a message holds a sequence of detections, or just one.
-    tail : Struct
-        Whatever follows the detections.
+    tail : sequence of Step
+        The steps over whatever follows the detections.
     points : str
         Path of the vertices, where a detection is a polygon.
     class_id, score : str
@@ -129,24 +145,14 @@ class InputType:
     package: str
     name: str
     topic: str
-    element: Struct
+    element: Sequence[Step]
     is_sequence: bool = True
-    tail: Struct = field(default_factory=dict)
+    tail: Sequence[Step] = ()
     points: str = ''
     class_id: str = ''
     score: str = ''
     id: str = ''
     box: str = ''
-
-    @cached_property
-    def element_steps(self) -> list[Step]:
-        """The steps over a detection."""
-        return steps_of(self.element)
-
-    @cached_property
-    def tail_steps(self) -> list[Step]:
-        """The steps over whatever follows the detections."""
-        return steps_of(self.tail)
 
 
 INPUT_TYPES: dict[str, InputType] = {
@@ -157,16 +163,16 @@ INPUT_TYPES: dict[str, InputType] = {
             'Detection2DArray',
             'detections',
             DETECTION_2D,
-            class_id='results.hypothesis.class_id',
-            score='results.hypothesis.score',
-            id='id',
-            box='bbox.center.position.x',
+            class_id=Field.CLASS,
+            score=Field.SCORE,
+            id=Field.ID,
+            box=Field.BOX,
         ),
         InputType(
             'yolo_msgs',
             'DetectionArray',
             'detections',
-            YOLO_DETECTION,
+            steps_of(_YOLO_DETECTION),
             class_id='class_name',
             score='score',
             id='id',
@@ -176,15 +182,15 @@ INPUT_TYPES: dict[str, InputType] = {
             'polygon_msgs',
             'Polygon2DCollection',
             'polygons',
-            POLYGON_2D,
+            steps_of(_POLYGON_2D),
             points='points',
-            tail={'colors': Array(4, 4)},
+            tail=steps_of({'colors': Array(4, 4)}),
         ),
         InputType(
             'geometry_msgs',
             'PolygonStamped',
             'polygons',
-            POLYGON,
+            steps_of(_POLYGON),
             is_sequence=False,
             points='polygon.points',
         ),

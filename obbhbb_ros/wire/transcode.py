@@ -15,6 +15,7 @@ from obbhbb_ros.wire.buffer import IntArray
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.buffer import Words
 from obbhbb_ros.wire.elements import ElementIndex
+from obbhbb_ros.wire.layouts import Field
 from obbhbb_ros.wire.layouts import InputType
 from obbhbb_ros.wire.walk import ranges
 from obbhbb_ros.wire.writing import text_bytes
@@ -25,12 +26,11 @@ if TYPE_CHECKING:
 # Each detection has a copy of the message's header. Their words together may be this many times
 # the words of the message.
 _MAX_HEADERS = 16
-# Doubles of a box: x, y, theta, size x, size y; and those of a detection without one.
-_BOX = np.arange(5)
+# Doubles of a box: x, y, theta, size x, size y.
+_BOX_DOUBLES = np.arange(5)
 _NO_BOX = np.array([nan, nan, 0.0, nan, nan])
-# Doubles of a hypothesis: score, position, orientation, covariance. In a new message, w of the
-# orientation is 1.
-_HYPOTHESIS_DOUBLES = 1 + 3 + 4 + 36
+# Score, position, orientation, covariance. In a new message, w of the orientation is 1.
+_HYPOTHESIS_WORDS = 2 * (1 + 3 + 4 + 36)
 _ORIENTATION_W = 7
 
 
@@ -54,7 +54,7 @@ def read_polygons(
     list of ndarray, each of shape (K, 2)
         x and y of the vertices, pixels.
     """
-    (step,) = input_type.element_steps
+    (step,) = input_type.element
     numbers = buffer.words.view(f'<f{step.size}')
     places = index.places(input_type.points)
     counts = buffer.words[places >> 2].tolist()
@@ -99,115 +99,79 @@ def as_detections(
     header, count = buffer.words[: index.header_words], index.count
     if count * len(header) > _MAX_HEADERS * len(buffer.words):
         raise WireError(f'{count} elements with a header of {4 * len(header)} bytes each')
-    ids = _strings_at(buffer, index, input_type.id) if input_type.id else _numbered(count)
-    classes = _strings_at(buffer, index, input_type.class_id) if input_type.class_id else None
-    layout = _layout(len(header), ids, classes)
-    written = EditableBuffer(LITTLE_ENDIAN + bytes(4 * layout.end))
+    ids = _strings(buffer.words, index.places(input_type.id)) if input_type.id else _numbered(count)
+    classes = None
+    if input_type.class_id:
+        classes = _strings(buffer.words, index.places(input_type.class_id))
+    new = _layout(len(header), ids, classes)
+    written = EditableBuffer(LITTLE_ENDIAN + bytes(new.end))
     words, doubles = written.words, written.words.view(np.float64)
     words[: len(header)] = header
     words[len(header)] = count
-    words[layout.starts[:, None] + np.arange(len(header))] = header
-    words[layout.results] = classes is not None
-    _copy(ids, words, layout.ids)
+    words[(new.places(Field.START) >> 2)[:, None] + np.arange(len(header))] = header
+    words[new.places(Field.RESULTS) >> 2] = classes is not None
+    _copy(ids, words, new.places(Field.ID))
     numbers = buffer.words.view(np.float64)
     if classes is not None:
-        _copy(classes, words, layout.results + 1)
-        doubles[layout.hypotheses] = numbers[index.places(input_type.score) >> 3]
-        doubles[layout.hypotheses + _ORIENTATION_W] = 1.0
-    doubles[layout.boxes[:, None] + _BOX] = (
-        numbers[(index.places(input_type.box) >> 3)[:, None] + _BOX] if input_type.box else _NO_BOX
-    )
-    return written, _index(layout, len(header), words)
+        _copy(classes, words, new.places(Field.CLASS))
+        hypotheses = new.places(Field.SCORE) >> 3
+        doubles[hypotheses] = numbers[index.places(input_type.score) >> 3]
+        doubles[hypotheses + _ORIENTATION_W] = 1.0
+    boxes = _NO_BOX
+    if input_type.box:
+        boxes = numbers[(index.places(input_type.box) >> 3)[:, None] + _BOX_DOUBLES]
+    doubles[(new.places(Field.BOX) >> 3)[:, None] + _BOX_DOUBLES] = boxes
+    return written, new
 
 
 class _Strings(NamedTuple):
-    """N strings in an array: the word at which each starts, and its words, the length included."""
+    """N strings in a message: the place of each, and how many words it takes with its length."""
 
     source: Words
-    starts: IntArray
-    words: IntArray
+    places: IntArray
+    sizes: IntArray
 
 
-def _strings(source: Words, starts: IntArray) -> _Strings:
-    """Measure strings that start at some words."""
-    return _Strings(source, starts, source[starts].astype(np.int64) + 7 >> 2)
-
-
-def _strings_at(buffer: EditableBuffer, index: ElementIndex, path: str) -> _Strings:
-    """Return a string of each element."""
-    return _strings(buffer.words, index.places(path) >> 2)
+def _strings(source: Words, places: IntArray) -> _Strings:
+    """Measure strings."""
+    return _Strings(source, places, source[places >> 2].astype(np.int64) + 7 >> 2)
 
 
 def _numbered(count: int) -> _Strings:
     """Write the index of each element as a string."""
     texts = [text_bytes(str(number).encode()) for number in range(count)]
-    sizes = np.array([len(text) // 4 for text in texts], np.int64)
+    sizes = np.array([len(text) for text in texts], np.int64)
     return _strings(np.frombuffer(b''.join(texts), '<u4'), sizes.cumsum() - sizes)
 
 
-def _copy(strings: _Strings, target: Words, starts: IntArray) -> None:
-    """Copy strings to where they start in a message, in words."""
-    source = strings.source[ranges(strings.starts, strings.words)]
-    target[ranges(starts, strings.words)] = source
+def _copy(strings: _Strings, target: Words, places: IntArray) -> None:
+    """Copy strings to their places in another message."""
+    source = strings.source[ranges(strings.places >> 2, strings.sizes)]
+    target[ranges(places >> 2, strings.sizes)] = source
 
 
-class _Layout(NamedTuple):
-    """
-    Where the parts of N detections lie in the new message.
-
-    Attributes
-    ----------
-    starts, results, ids : ndarray of int, shape (N,)
-        Words at which the detection, the number of its hypotheses and its id start. A class
-        follows the number of hypotheses.
-    hypotheses, boxes : ndarray of int, shape (N,)
-        Doubles at which the numbers of the hypothesis, if there is one, and of the box start.
-    end : int
-        Word at which the last id ends.
-    """
-
-    starts: IntArray
-    results: IntArray
-    hypotheses: IntArray
-    boxes: IntArray
-    ids: IntArray
-    end: int
-
-
-def _layout(header_words: int, ids: _Strings, classes: _Strings | None) -> _Layout:
+def _layout(header_words: int, ids: _Strings, classes: _Strings | None) -> ElementIndex:
     """Lay out detections of header, hypothesis, box and id; numbers start at even words."""
-    before = np.full_like(ids.words, header_words + 1)
-    hypothesis_doubles = 0
+    hypothesis_words = 0
+    numbers = np.full_like(ids.sizes, header_words + 1)
     if classes is not None:
-        before += classes.words
-        hypothesis_doubles = _HYPOTHESIS_DOUBLES
-    # The first detection follows header and count, the others an id.
-    preceding = np.concatenate(([header_words + 1], ids.words[:-1]))[: len(before)]
-    numbers_at = before + (preceding + before & 1)
-    ids_at = numbers_at + 2 * (hypothesis_doubles + len(_BOX))
-    ends = header_words + 1 + (ids_at + ids.words).cumsum()
-    starts = ends - ids_at - ids.words
-    hypotheses = starts + numbers_at >> 1
-    return _Layout(
-        starts,
-        starts + header_words,
-        hypotheses,
-        hypotheses + hypothesis_doubles,
-        starts + ids_at,
-        int(ends[-1]) if len(ends) else header_words + 1,
-    )
-
-
-def _index(layout: _Layout, header_words: int, words: Words) -> ElementIndex:
-    """Describe the new message as `read_elements` does."""
-    ends = 4 * (layout.ids + 1) + words[layout.ids]
+        hypothesis_words = _HYPOTHESIS_WORDS
+        numbers += classes.sizes
+    # The first detection follows header and count, the others follow an id.
+    preceding = np.concatenate(([header_words + 1], ids.sizes[:-1]))[: len(numbers)]
+    numbers += preceding + numbers & 1
+    boxes = numbers + hypothesis_words
+    id_starts = boxes + 2 * len(_BOX_DOUBLES)
+    sizes = id_starts + ids.sizes
+    starts = header_words + 1 + sizes.cumsum() - sizes
     fields = {
-        'header.stamp.sec': 4 * layout.starts,
-        'results': 4 * layout.results,
-        'results.hypothesis.class_id': 4 * (layout.results + 1),
-        'results.hypothesis.score': 8 * layout.hypotheses,
-        'bbox.center.position.x': 8 * layout.boxes,
-        'id': 4 * layout.ids,
+        Field.START: 4 * starts,
+        Field.RESULTS: 4 * (starts + header_words),
+        Field.CLASS: 4 * (starts + header_words + 1),
+        Field.SCORE: 4 * (starts + numbers),
+        Field.BOX: 4 * (starts + boxes),
+        Field.ID: 4 * (starts + id_starts),
     }
-    end = int(ends[-1]) if len(ends) else 4 * layout.end
-    return ElementIndex(header_words, len(ends), fields, end, ends)
+    ends = fields[Field.ID] + 4 + ids.source[ids.places >> 2]
+    end = int(ends[-1]) if len(ends) else 4 * (header_words + 1)
+    return ElementIndex(header_words, len(ends), fields, ends, end)

@@ -4,7 +4,7 @@ Descriptions of messages, and how to find the fields of a message by its descrip
 
 A description is a dict of fields, in order; `steps_of` turns it into a list of steps. `walk` takes
 these steps over one struct, with plain integers. `walk_all` takes them over many structs of a kind
-at once, with arrays, if it is known where each starts. Both collect at which place each field lies.
+at once, with arrays, if the start of each is known. Both collect the places of the fields.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from obbhbb_ros.wire.buffer import Buffer
 from obbhbb_ros.wire.buffer import IntArray
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.buffer import Words
@@ -95,6 +96,11 @@ class Step(NamedTuple):
 
 Places: TypeAlias = defaultdict[str, list[int]]
 """By path, the place of each field: where numbers, or the length of a string or sequence, start."""
+Gaps: TypeAlias = list[tuple[int, int]]
+"""Start and end of padding between fields."""
+ArrayPlaces: TypeAlias = dict[str, IntArray]
+ArrayGaps: TypeAlias = list[tuple[IntArray, IntArray]]
+AnyPlaces: TypeAlias = Mapping[str, Sequence[int] | IntArray]
 
 
 def steps_of(struct: Struct, prefix: str = '') -> list[Step]:
@@ -120,7 +126,7 @@ def steps_of(struct: Struct, prefix: str = '') -> list[Step]:
             new = steps_of(kind, f'{path}.')
         elif isinstance(kind, Many):
             inner = steps_of(kind.element, f'{path}.')
-            new = [Step(Many, path, 4, min_bytes(inner), inner, 4)]
+            new = [Step(Many, path, 4, _min_bytes(inner), inner, 4)]
         elif isinstance(kind, Text):
             new = [Step(Text, path, 1, 0, (), 4)]
         else:
@@ -136,24 +142,18 @@ def steps_of(struct: Struct, prefix: str = '') -> list[Step]:
     return steps
 
 
-def min_bytes(steps: Sequence[Step]) -> int:
+def _min_bytes(steps: Sequence[Step]) -> int:
     """Return the fewest bytes that a struct takes."""
     return sum(step.length if step.kind is Numbers else _MIN_BYTES[step.kind] for step in steps)
 
 
-def check_count(path: str, count: int, min_size: int, bytes_left: int) -> None:
+def _check_count(path: str, count: int, min_size: int, bytes_left: int) -> None:
     """Refuse a number of structs that the bytes left in the message cannot hold."""
     if count * min_size > bytes_left:
         raise WireError(f'{path}: {bytes_left} bytes cannot hold {count} elements')
 
 
-def walk(
-    lengths: memoryview,
-    at: int,
-    steps: Sequence[Step],
-    places: Places,
-    gaps: list[tuple[int, int]],
-) -> int:
+def walk(lengths: memoryview, at: int, steps: Sequence[Step], places: Places, gaps: Gaps) -> int:
     """
     Find the fields of one struct.
 
@@ -167,8 +167,8 @@ def walk(
         The steps over the struct.
     places : Places
         The places of the fields are added to it.
-    gaps : list of tuple of int
-        Start and end of padding between fields are added to it.
+    gaps : Gaps
+        The gaps between fields are added to it.
 
     Returns
     -------
@@ -201,7 +201,7 @@ def walk(
                 if count:
                     at = (at + size - 1 & -size) + count * length
             else:
-                check_count(path, count, length, 4 * len(lengths) - at)
+                _check_count(path, count, length, 4 * len(lengths) - at)
                 for _ in range(count):
                     at = walk(lengths, at, inner, places, gaps)
     except IndexError:
@@ -211,12 +211,46 @@ def walk(
     return at
 
 
+def element_count(lengths: memoryview, place: int, element: Sequence[Step]) -> int:
+    """Read how many elements a message has."""
+    if place >> 2 >= len(lengths):
+        raise WireError(f'the message ends before the number of its elements, at byte {place}')
+    count: int = lengths[place >> 2]
+    _check_count('message', count, _min_bytes(element), 4 * len(lengths) - place - 4)
+    return count
+
+
+def read_struct(data: bytes, steps: Sequence[Step]) -> tuple[Buffer, dict[str, int]]:
+    """
+    Read a message that is one struct, without copying it.
+
+    Parameters
+    ----------
+    data : bytes
+        The serialized message.
+    steps : sequence of Step
+        The steps over it.
+
+    Returns
+    -------
+    buffer : Buffer
+        The message.
+    places : dict of int
+        Place of each field, by its path.
+
+    Raises
+    ------
+    obbhbb_ros.wire.buffer.WireError
+        If the bytes are no such message.
+    """
+    buffer = Buffer(data)
+    places: Places = defaultdict(list)
+    buffer.check_end(walk(buffer.lengths, 0, steps, places, []))
+    return buffer, {path: place for path, (place, *_) in places.items()}
+
+
 def walk_all(
-    lengths: Words,
-    at: IntArray,
-    steps: Sequence[Step],
-    places: dict[str, IntArray],
-    gaps: list[tuple[IntArray, IntArray]],
+    lengths: Words, at: IntArray, steps: Sequence[Step], places: ArrayPlaces, gaps: ArrayGaps
 ) -> IntArray:
     """
     Find the fields of many structs, as `walk` does, with arrays of shape (N,) for integers.
@@ -252,19 +286,14 @@ def walk_all(
 
 
 def _walk_elements(
-    lengths: Words,
-    at: IntArray,
-    step: Step,
-    count: IntArray,
-    places: dict[str, IntArray],
-    gaps: list[tuple[IntArray, IntArray]],
+    lengths: Words, at: IntArray, step: Step, count: IntArray, places: ArrayPlaces, gaps: ArrayGaps
 ) -> IntArray:
     """Walk over sequences of structs: first the first elements of all, then the second ones."""
     # Structs that start at wrong places may overlap, so that together they claim too much.
     too_many = int(count.sum()) * step.length > 4 * len(lengths)
     if too_many or (count != count[0]).any():
         raise UnevenError
-    walks: list[dict[str, IntArray]] = []
+    walks: list[ArrayPlaces] = []
     for _ in range(int(count[0])):
         walks.append({})
         at = walk_all(lengths, at, step.inner, walks[-1], gaps)
@@ -294,9 +323,7 @@ def ranges(starts: IntArray, counts: IntArray) -> IntArray:
 
 
 def number_places(
-    lengths: memoryview,
-    steps: Sequence[Step],
-    places: Mapping[str, Sequence[int] | IntArray],
+    lengths: memoryview, steps: Sequence[Step], places: AnyPlaces
 ) -> Iterator[tuple[int, IntArray]]:
     """
     List all numbers of structs, lengths of strings and sequences included.
