@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What happens to a message: bytes and settings in, bytes and counts out. No ROS in here.
+What happens to a message: bytes and settings in, bytes and counts out, without ROS.
 
     batch = Batch(data, INPUT_TYPES['Detection2DArray'], settings, image_size)
     boxes = batch.boxes_message()
-    regions = batch.crop_regions_message()
+    plan = batch.plan_crops()
+    regions = batch.crop_regions_message(plan)
 
 `answer` decides what is published for a message, for the node and for bags alike.
 """
@@ -14,7 +15,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +31,7 @@ from obbhbb_ros.geometry.converter import to_xyxy
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import InputType
+from obbhbb_ros.wire.stamp import stamp_text
 
 OUTER = (HullRule('outer'),)
 
@@ -38,14 +39,14 @@ OUTER = (HullRule('outer'),)
 @dataclass(frozen=True)
 class Output:
     """
-    A topic that is answered on.
+    A topic for answers.
 
     Attributes
     ----------
     publish : callable
         Takes the bytes of a message.
     wanted : callable
-        Tells, when a message would be made, whether anybody wants it.
+        Returns whether anybody wants a message now.
     """
 
     publish: Callable[[bytes], object]
@@ -56,7 +57,7 @@ NOBODY = Output(lambda data: None, lambda: False)
 
 
 class Outputs(NamedTuple):
-    """The topics that a message is answered on."""
+    """The topics for the answers to a message."""
 
     boxes: Output
     crop_regions: Output
@@ -71,7 +72,7 @@ class ConversionOutcome:
     Attributes
     ----------
     counts : Counter of str
-        As in the diagnostics.
+        By key of the diagnostics.
     complaints : dict of str
         What went wrong, by kind.
     """
@@ -99,62 +100,74 @@ def answer(
     settings : ConversionSettings
         The settings.
     camera_size : tuple of int
-        Width and height of the image by the last camera info, pixels; 0 where there was none.
+        Width and height of the image from the latest camera info, pixels; 0 without one.
     outputs : Outputs
-        Where the answers go.
+        Where the answers go. Each is asked once whether it is wanted.
 
     Returns
     -------
     ConversionOutcome
-        What became of it.
+        What became of it. If no answer is wanted, the message is not read.
 
     Raises
     ------
     obbhbb_ros.wire.buffer.WireError
         If the bytes are no such message.
     """
+    wants_boxes = bool(outputs.boxes.wanted())
+    wants_crops = (False, False) if wants_boxes else _crops_wanted(outputs)
+    if not wants_boxes and not any(wants_crops):
+        return ConversionOutcome(Counter(messages_without_subscriber=1), {})
     width, height = (
-        given or seen for given, seen in zip(settings.image_size, camera_size, strict=True)
+        size or seen for size, seen in zip(settings.image_size, camera_size, strict=True)
     )
     image_size = (width, height) if width and height else None
     if image_size is None and not settings.input_frame.is_image:
-        return _without_image_size(Counter(), 'no boxes')
+        return ConversionOutcome(Counter(messages_without_image_size=1), _no_size(['no boxes']))
     batch = Batch(data, input_type, settings, image_size)
-    wants_boxes = outputs.boxes.wanted()
     if wants_boxes:
         outputs.boxes.publish(batch.boxes_message())
-    # Asked only now: whoever waits for the boxes does not wait for this.
-    wants_sources, wants_regions = outputs.crop_sources.wanted(), outputs.crop_regions.wanted()
-    outcome = ConversionOutcome(batch.counts, {})
+        # Only now, so that the boxes do not wait for it.
+        wants_crops = _crops_wanted(outputs)
+    counts, complaints = Counter(batch.counts), dict[str, str]()
     if image_size is None:
-        missed = {
-            'no crop regions': wants_regions or wants_sources,
-            'boxes are not clipped': wants_boxes and settings.clip_boxes,
-        }
-        if any(missed.values()):
-            consequence = ', '.join(each for each in missed if missed[each])
-            outcome = _without_image_size(batch.counts, consequence)
-    else:
-        # First, so that they are there when the regions are cut.
-        if wants_sources:
-            outputs.crop_sources.publish(batch.crop_sources_message())
-        if wants_regions:
-            outputs.crop_regions.publish(batch.crop_regions_message())
+        missed = ['no crop regions'] if any(wants_crops) else []
+        if wants_boxes and settings.clip_boxes:
+            missed.append('boxes are not clipped')
+        if missed:
+            counts['messages_without_image_size'] = 1
+            complaints = _no_size(missed)
+    elif any(wants_crops):
+        counts.update(_publish_crops(batch, outputs, *wants_crops))
     if batch.complaint:
-        outcome.complaints['invalid detections'] = batch.complaint
-    return outcome
+        complaints['invalid detections'] = batch.complaint
+    return ConversionOutcome(counts, complaints)
 
 
-def _without_image_size(counts: Counter[str], consequence: str) -> ConversionOutcome:
-    """Count a message that needs the size of the image, and say what follows."""
-    counts['messages_without_image_size'] += 1
-    return ConversionOutcome(
-        counts,
-        {
-            'no image size': f'{consequence} without the size of the image: set image_width and '
-            'image_height, or publish camera_info'
-        },
-    )
+def _crops_wanted(outputs: Outputs) -> tuple[bool, bool]:
+    """Ask whether anybody wants crop sources, and crop regions."""
+    return bool(outputs.crop_sources.wanted()), bool(outputs.crop_regions.wanted())
+
+
+def _no_size(consequences: list[str]) -> dict[str, str]:
+    """Say what follows from an unknown size of the image."""
+    return {
+        'no image size': f'{", ".join(consequences)} without the size of the image: set '
+        'image_width and image_height, or publish camera_info'
+    }
+
+
+def _publish_crops(
+    batch: Batch, outputs: Outputs, wants_sources: bool, wants_regions: bool
+) -> Counter[str]:
+    """Plan the crop regions, publish what is wanted, and count."""
+    plan = batch.plan_crops()
+    # The sources first, so that they are there when the regions are cut.
+    if wants_sources:
+        outputs.crop_sources.publish(batch.crop_sources_message(plan))
+    if wants_regions:
+        outputs.crop_regions.publish(batch.crop_regions_message(plan))
+    return batch.crop_counts(plan)
 
 
 class Batch:
@@ -176,7 +189,7 @@ class Batch:
     Attributes
     ----------
     counts : Counter of str
-        What there was and what became of it; crop regions are added when they are planned.
+        How many detections there were, and how many of them could not be converted.
     complaint : str
         Which detections could not be converted and why; empty if all could.
 
@@ -196,7 +209,7 @@ class Batch:
         self._settings = settings
         self._image_size = image_size
         self._detections = detections = Detections(data, input_type)
-        self._boxes = settings.input_frame.oriented_boxes(
+        self._boxes = boxes = settings.input_frame.oriented_boxes(
             detections.xywhr(),
             detections.polygons,
             image_size,
@@ -204,21 +217,23 @@ class Batch:
             bow=settings.bow,
         )
         self._rule_of: NDArray[np.intp] | None = None
-        if settings.rule_of_class:
-            rule_of_class = settings.rule_of_class
+        if rule_of_class := settings.rule_of_class:
             self._rule_of = np.array(
                 [rule_of_class.get(class_id, 0) for class_id in detections.class_ids()], np.intp
             )
         self._center, self._extents = centers_and_extents(
-            self._boxes, settings.rules, self._rule_of, settings.caps
+            boxes, settings.rules, self._rule_of, settings.caps
         )
-        self._regular, self._defects = self._boxes.regular, self._boxes.defects
-        # Crop regions are planned from boxes as they are.
+        # Crop regions are planned from boxes that are not clipped.
         self._unclipped = self._center, self._extents
+        self._regular, self._defects = boxes.regular, boxes.defects
         if settings.clip_boxes and image_size:
             self._clip(image_size)
-        self.counts = Counter({'messages_converted': 1, 'detections_received': len(detections)})
-        self.complaint = '' if self._regular else self._count_invalid()
+        self.counts = Counter(messages_converted=1, detections_received=len(detections))
+        self.complaint = ''
+        if not self._regular:
+            invalid, self.complaint = self._report_invalid()
+            self.counts.update(invalid)
 
     def boxes_message(self) -> bytes:
         """Write the message with axis-aligned boxes in place of the oriented ones."""
@@ -241,54 +256,51 @@ class Batch:
             self._extents[outside] = np.nan
             self._regular = False
 
-    def crop_regions_message(self) -> bytes:
+    def plan_crops(self) -> CropPlan:
         """
-        Plan the crop regions, and write them as a message.
+        Plan the crop regions.
 
         Raises
         ------
         ValueError
             If the size of the image is not known.
         """
-        plan = self._crop_plan
+        return self._plan(self._crop_boxes())
+
+    def crop_regions_message(self, plan: CropPlan) -> bytes:
+        """Write the regions of a plan, with the detections in each."""
         low, high = plan.regions.T[:2], plan.regions.T[2:]
         xywh = np.concatenate(((low + high) / 2.0, high - low)).T
         if plan.merged:
             return self._detections.joined(plan.groups(), xywh)
         return self._detections.selected(plan.sources, xywh)
 
-    def crop_sources_message(self) -> bytes:
+    def crop_sources_message(self, plan: CropPlan) -> bytes:
         """
         Write the oriented box of the most valuable detection of each crop region, in their order.
 
         The long side lies along theta, and the score is the value of the region.
-
-        Raises
-        ------
-        ValueError
-            If the size of the image is not known.
         """
-        plan, boxes = self._crop_plan, self._boxes
+        boxes = self._boxes
         rows = plan.sources[plan.offsets[:-1]]
         xywhr = np.vstack((boxes.center.T, boxes.length, boxes.width, boxes.theta))
         return self._detections.ranked(rows, xywhr[:, rows], plan.values)
 
-    @cached_property
-    def _crop_plan(self) -> CropPlan:
-        """Plan the crop regions once, and count them."""
-        if self._image_size is None:
-            raise ValueError('crop regions need the size of the image')
-        plan = self._plan(self._crop_boxes(), self._image_size)
-        self._count_crops(plan)
+    def crop_counts(self, plan: CropPlan) -> Counter[str]:
+        """Count the regions of a plan, and the boxes that have none."""
+        counts = Counter({'crops_planned': len(plan.regions), 'crop_pixels.planned': plan.pixels})
+        if plan.merged:
+            counts['crops_merged_away'] = len(plan.sources) - len(plan.regions)
+        for reason, count in plan.left_out.items():
+            counts[f'crops_left_out.{reason.value}'] = count
         if self._settings.compare_outer:
-            outer_extents = half_extents(self._boxes, OUTER)
-            outer = self._plan(to_xyxy(self._boxes.center, outer_extents), self._image_size)
-            self.counts['crop_pixels.compared'] += plan.pixels
-            self.counts['crop_pixels.outer_boxes'] += outer.pixels
-        return plan
+            outer = self._plan(to_xyxy(self._boxes.center, half_extents(self._boxes, OUTER)))
+            counts['crop_pixels.compared'] = plan.pixels
+            counts['crop_pixels.outer_boxes'] = outer.pixels
+        return counts
 
     def _crop_boxes(self) -> FloatArray:
-        """Lay boxes, (N, 4), around the boxes and the hulls that are to be kept."""
+        """Enclose each box and the hull that its crop region is to keep; (N, 4)."""
         settings = self._settings
         xyxy = to_xyxy(*self._unclipped)
         if not settings.crop_rules:
@@ -303,36 +315,28 @@ class Batch:
             (np.minimum(xyxy[:, :2], around[:, :2]), np.maximum(xyxy[:, 2:], around[:, 2:]))
         )
 
-    def _plan(self, xyxy: FloatArray, image_size: tuple[int, int]) -> CropPlan:
+    def _plan(self, xyxy: FloatArray) -> CropPlan:
         """Plan the crop regions of boxes."""
+        if self._image_size is None:
+            raise ValueError('crop regions need the size of the image')
         settings, rule_of = self._settings, self._rule_of
         weights = None if rule_of is None else settings.weights[rule_of]
         min_scores = None if rule_of is None else settings.min_scores[rule_of]
-        return plan_crops(
-            xyxy, self._detections.scores(), image_size, settings.crop, weights, min_scores
-        )
+        scores = self._detections.scores()
+        return plan_crops(xyxy, scores, self._image_size, settings.crop, weights, min_scores)
 
-    def _count_crops(self, plan: CropPlan) -> None:
-        """Count the regions of a plan, and the boxes that have none."""
-        self.counts['crops_planned'] += len(plan.regions)
-        self.counts['crop_pixels.planned'] += plan.pixels
-        if plan.merged:
-            self.counts['crops_merged_away'] += len(plan.sources) - len(plan.regions)
-        for reason, count in plan.left_out.items():
-            self.counts[f'crops_left_out.{reason.value}'] += count
-
-    def _count_invalid(self) -> str:
+    def _report_invalid(self) -> tuple[Counter[str], str]:
         """Count the detections that cannot be converted by reason; say which is the first."""
         rows = np.flatnonzero(np.isnan(self._extents[:, 0]))
         if not rows.size:
-            return ''
+            return Counter(), ''
         # A box without a defect that has no extents overflowed.
         defects = np.maximum(self._defects[rows], np.uint8(Defect.NOT_FINITE))
         action = 'kept' if self._settings.keep_invalid else 'dropped'
-        for defect, count in zip(*np.unique(defects, return_counts=True), strict=True):
-            self.counts[f'detections_{action}.{Defect(defect).name.lower()}'] += int(count)
-        seconds, nanoseconds = self._detections.stamp
-        return (
+        kinds, counts = np.unique(defects, return_counts=True)
+        keys = (f'detections_{action}.{Defect(kind).name.lower()}' for kind in kinds)
+        return Counter(dict(zip(keys, counts.tolist(), strict=True))), (
             f'{action} {len(rows)} of {len(self._boxes)} detections at stamp '
-            f'{seconds}.{nanoseconds:09d}: index {rows[0]} is {Defect(defects[0]).name.lower()}'
+            f'{stamp_text(self._detections.stamp)}: index {rows[0]} is '
+            f'{Defect(defects[0]).name.lower()}'
         )

@@ -90,9 +90,6 @@ class ObbToHbb(ManagedNode[ConversionSettings]):
         if not self._active:
             self._monitor.add('messages_while_inactive')
             return
-        if not any(output.wanted() for output in self._answers):
-            self._monitor.add('messages_without_subscriber')
-            return
         settings = self._parameters_in_force.settings
         try:
             outcome = answer(data, self._input_type, settings, self._camera_size, self._answers)
@@ -100,6 +97,8 @@ class ObbToHbb(ManagedNode[ConversionSettings]):
             self._drop_unreadable(data, self._detections, error)
             return
         self._monitor.counts.update(outcome.counts)
+        if outcome.counts['messages_without_subscriber']:
+            return
         for kind, text in outcome.complaints.items():
             self._warn(kind, f'{self._detections.topic_name}: {text}')
         self._monitor.took(time.perf_counter() - started)

@@ -151,7 +151,7 @@ def batch_check(name: str) -> Callable[[bytes], str]:
             except WireError:
                 return 'refused'
             batch.boxes_message()
-            batch.crop_regions_message()
+            batch.crop_regions_message(batch.plan_crops())
         return 'read'
 
     return check

@@ -96,7 +96,10 @@ def expected(
         for time, data in on(topic, messages)
     ]
     boxes = [(time, batch.boxes_message()) for time, batch in batches]
-    return boxes, [(time, batch.crop_regions_message()) for time, batch in batches] if size else []
+    if not size:
+        return boxes, []
+    plans = [(time, batch, batch.plan_crops()) for time, batch in batches]
+    return boxes, [(time, batch.crop_regions_message(plan)) for time, batch, plan in plans]
 
 
 def answers(path: Path, namespace: str = '') -> tuple[list[Any], list[Any]]:

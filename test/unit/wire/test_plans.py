@@ -205,8 +205,8 @@ def scene(merge=0):
 @pytest.mark.parametrize('merge', [0, 200])
 def test_each_region_has_its_source_at_its_place(merge) -> None:
     batch = scene(merge)
-    plan = WirePlan(batch.crop_regions_message())
-    stamp, sources = read_sources(batch.crop_sources_message())
+    plan = WirePlan(batch.crop_regions_message(batch.plan_crops()))
+    stamp, sources = read_sources(batch.crop_sources_message(batch.plan_crops()))
     assert stamp == plan.stamp == (3, 4)
     assert len(sources) == len(plan) == (2 if merge else 3)
     for region, source in zip(plan.regions, sources, strict=True):
@@ -226,8 +226,8 @@ def test_each_region_has_its_source_at_its_place(merge) -> None:
 
 def test_the_source_of_a_region_is_its_most_valuable_detection() -> None:
     batch = scene(200)
-    plan = WirePlan(batch.crop_regions_message())
-    _, sources = read_sources(batch.crop_sources_message())
+    plan = WirePlan(batch.crop_regions_message(batch.plan_crops()))
+    _, sources = read_sources(batch.crop_sources_message(batch.plan_crops()))
     (merged,) = (
         source for ids, source in zip(plan.detection_ids(), sources, strict=True) if len(ids) == 2
     )
@@ -238,6 +238,7 @@ def test_the_source_of_a_region_is_its_most_valuable_detection() -> None:
 
 def test_sources_leave_the_regions_as_they_are() -> None:
     first, second = scene(), scene()
-    second.crop_sources_message()
-    assert first.crop_regions_message() == second.crop_regions_message()
-    assert first.crop_sources_message() == second.crop_sources_message()
+    plans = first.plan_crops(), second.plan_crops()
+    second.crop_sources_message(plans[1])
+    for write in ('crop_regions_message', 'crop_sources_message'):
+        assert getattr(first, write)(plans[0]) == getattr(second, write)(plans[1])
