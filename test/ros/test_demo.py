@@ -30,7 +30,7 @@ def test_the_node_converts_with_every_method(site: Site) -> None:
         np.testing.assert_allclose(boxes, expected, rtol=0, atol=0.01, err_msg=method)
 
 
-def test_a_bag_that_is_there_is_kept(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_bag_is_kept(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / 'flight').mkdir()
     assert main(['demo', '--bag', str(tmp_path / 'flight')]) == 1
     assert 'flight exists already' in capfd.readouterr().err

@@ -102,7 +102,7 @@ def test_all_of_a_frame_has_its_stamp(recorded: Recording) -> None:
     assert all(each == stamps['/image'] for each in stamps.values())
 
 
-def test_the_definitions_in_the_bag_are_all_it_takes_to_read_it(recorded: Recording) -> None:
+def test_the_bag_can_be_read_with_its_own_definitions_alone(recorded: Recording) -> None:
     stores = {}
     for schema, _, _ in recorded:
         if schema.id not in stores:

@@ -180,7 +180,7 @@ def test_yolo_labels_are_played_with_the_size_of_the_image(played: dict[str, Pla
     assert info.header.frame_id == 'nadir'
 
 
-def test_a_table_is_played_one_message_an_image(played: dict[str, Player]) -> None:
+def test_a_table_is_played_as_one_message_per_image(played: dict[str, Player]) -> None:
     one, other = played['csv'].messages
     np.testing.assert_allclose(rows_of(one)[:, :4], np.array(ROWS)[:, :4], rtol=1e-12)
     assert hypotheses(one) == [('P1/a', 'ship', 1.0), ('P1/b', 'tug', 0.75)]
@@ -228,7 +228,7 @@ def test_a_loop_goes_on_until_a_signal(play: Play, put: Put) -> None:
     assert 'Traceback' not in player.log
 
 
-def test_it_waits_for_somebody_to_listen(play: Play, put: Put) -> None:
+def test_it_waits_for_a_subscriber(play: Play, put: Put) -> None:
     player = play(path=put('ships.csv', CSV), wait_for_subscribers=2)
     player.peer.spin_until(lambda: 'waiting for 2' in player.log, 'the player to wait')
     late = player.peer.collect(Detection2DArray, 'detections')
@@ -266,7 +266,7 @@ def test_images_beside_the_labels_are_published_with_their_stamp(
         ({'path': str(REAL_SHIPS.parent / 'README.md')}, ('README.md', 'format')),
     ],
 )
-def test_what_cannot_be_played_ends_the_start_with_one_line(
+def test_unplayable_labels_end_the_start_with_one_line(
     site: Site, parameters: dict[str, Any], texts: tuple[str, ...]
 ) -> None:
     with site.start('play_detections', parameters=parameters) as process:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands where things go wrong: full disks, closed pipes, Ctrl-C, records from hell."""
+"""The commands when something goes wrong: full disks, closed pipes, Ctrl-C, hostile input."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_full_disk_leaves_the_old_file_and_one_line(ships: Path, arguments: li
     assert list(folder.iterdir()) == [old]
 
 
-def test_output_that_cannot_be_written_is_said(ships: Path) -> None:
+def test_output_that_cannot_be_written_is_reported(ships: Path) -> None:
     with open('/dev/full', 'w') as full:
         done = subprocess.run(
             [*OBBHBB, 'convert', ships, ships.with_name('out.json'), '--to', 'coco'],
@@ -102,7 +102,7 @@ def test_a_file_is_replaced_through_a_link_and_keeps_its_mode(tmp_path: Path) ->
     assert link.is_symlink()
 
 
-def test_a_device_is_written_to_as_it_is() -> None:
+def test_a_device_is_written_to_directly() -> None:
     with replacing(Path('/dev/null')) as whole:
         whole.write_text('gone')
     assert not Path('/dev/null').is_file()
@@ -114,7 +114,7 @@ def test_a_picture_without_a_suffix_is_a_png(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_the_index_of_an_older_shapefile_goes_with_it(ships: Path) -> None:
+def test_the_index_of_a_replaced_shapefile_is_deleted(ships: Path) -> None:
     out = ships.with_name('out.shp')
     out.write_text('old')
     for suffix in ('.qix', '.txt'):
@@ -136,7 +136,7 @@ def test_a_file_that_is_read_only_is_not_replaced(
 
 
 @pytest.mark.parametrize('closed', ['>&-', '2>&-', '>&- 2>&-'])
-def test_a_command_without_output_does_its_work(ships: Path, closed: str) -> None:
+def test_a_command_works_with_closed_output(ships: Path, closed: str) -> None:
     out = ships.with_name('out.csv')
     command = f'exec {sys.executable} -m obbhbb_ros.cli convert {ships} {out} {closed}'
     assert subprocess.run(['sh', '-c', command], check=False).returncode == 0
@@ -172,7 +172,7 @@ sys.exit(main())
 
 
 @pytest.mark.parametrize('arguments', LONG.values(), ids=LONG)
-def test_ctrl_c_ends_a_command_in_silence(ships: Path, arguments: list[str]) -> None:
+def test_ctrl_c_ends_a_command_silently(ships: Path, arguments: list[str]) -> None:
     if arguments[0] != 'chips':
         ships.write_text(HEAD + ''.join(ROW.format(i % 10, i) for i in range(100_000)))
     command = [
@@ -198,7 +198,7 @@ def test_ctrl_c_ends_a_command_in_silence(ships: Path, arguments: list[str]) -> 
     assert not list(ships.parent.glob('out*'))
 
 
-def test_a_command_that_is_told_to_end_leaves_nothing_behind(ships: Path) -> None:
+def test_a_terminated_command_leaves_nothing_behind(ships: Path) -> None:
     ships.write_text(HEAD + ''.join(ROW.format(i % 10, i) for i in range(100_000)))
     folder = ships.with_name('target')
     folder.mkdir()
@@ -218,7 +218,7 @@ def test_a_command_that_is_told_to_end_leaves_nothing_behind(ships: Path) -> Non
     assert list(folder.iterdir()) == []
 
 
-def test_a_reader_that_has_seen_enough_is_no_error(ships: Path) -> None:
+def test_a_reader_may_close_the_output_early(ships: Path) -> None:
     reading, writing = os.pipe()
     process = subprocess.Popen(
         [*OBBHBB, 'evaluate', ships, '--bootstrap', '10'],
@@ -244,12 +244,10 @@ def test_a_file_may_be_the_standard_output(ships: Path) -> None:
     assert len(done.stdout.splitlines()) > 400
 
 
-# Input from hell ------------------------------------------------------------------------------
+# Hostile input ---------------------------------------------------------------------------------
 
 
-def test_a_pipe_is_refused_instead_of_waited_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pipe_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     os.mkfifo(tmp_path / 'labels.csv')
     assert main(['convert', str(tmp_path / 'labels.csv'), str(tmp_path / 'out.csv')]) == 1
     assert capsys.readouterr().err == (
@@ -269,7 +267,7 @@ BAD_ANNOTATIONS = {
 
 @pytest.mark.parametrize('suffix', ['json', 'csv', 'geojson', 'shp'])
 @pytest.mark.parametrize('bad', BAD_ANNOTATIONS.values(), ids=BAD_ANNOTATIONS)
-def test_one_bad_record_costs_a_coco_file_nothing_else(
+def test_only_the_bad_record_of_a_coco_file_is_lost(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], bad: dict[str, object], suffix: str
 ) -> None:
     good = {'id': 1, 'image_id': 1, 'category_id': 1, 'segmentation': [SQUARE]}
@@ -293,7 +291,7 @@ def test_one_bad_record_costs_a_coco_file_nothing_else(
     assert sum(len(labels.class_ids) for labels in read_labels(out, to)) == 2
 
 
-def test_boxes_whose_area_overflows_are_left_out_by_name(
+def test_boxes_whose_area_overflows_are_left_out_and_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / 'all.csv'

@@ -169,7 +169,7 @@ def test_bad_records_and_boxes_are_reported_counted_and_left_out(
     assert [len(each.class_ids) for each in read_labels(path)] == [2, 1]
 
 
-def test_where_nothing_can_be_read_nothing_is_written(
+def test_nothing_is_written_if_nothing_can_be_read(
     source: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     for path in source.iterdir():
@@ -181,7 +181,7 @@ def test_where_nothing_can_be_read_nothing_is_written(
     assert 'nothing to convert' in printed.err
 
 
-def test_images_without_ships_are_no_error(source: Path, tmp_path: Path) -> None:
+def test_images_without_ships_are_valid(source: Path, tmp_path: Path) -> None:
     for path in source.iterdir():
         path.write_text('')
     assert _run(source, tmp_path / 'out.csv', '--strict') == 0
@@ -202,7 +202,7 @@ def test_images_without_ships_are_no_error(source: Path, tmp_path: Path) -> None
         (['--to', 'csv', '--image-size', '0', '5'], 'image_size'),
     ],
 )
-def test_a_wrong_option_is_one_line_and_no_file(
+def test_a_wrong_option_prints_one_line_and_writes_no_file(
     source: Path, tmp_path: Path, options: list[str], message: str, capsys: pytest.CaptureFixture
 ) -> None:
     assert _run(source, tmp_path / 'out', *options) == 1
@@ -237,7 +237,7 @@ def test_the_command_runs_as_a_program_and_is_quiet_in_a_pipe(source: Path, tmp_
     assert done.stdout.startswith('2 images, 3 boxes converted')
 
 
-def test_a_box_that_overflows_is_left_out_for_that() -> None:
+def test_a_box_that_overflows_is_left_out_with_the_reason() -> None:
     huge = Box((-1e308, 0, 1e308, 0, 1e308, 1e308, -1e308, 1e308), 'ship')
     labels = assemble('P1', [huge, Box((0, 0, 4, 0, 4, 2, 0, 2), 'ship', 'b')], None, Path('x'))
     converted = convert_image(labels, HullRule(s=2.0), diagnostics=True)
@@ -274,6 +274,21 @@ def test_progress_gets_the_images_and_the_number_of_files_of_a_folder(
     assert seen == [total, 'P1', 'P2'][: 3 if total else 2]
 
 
+def test_a_folder_is_listed_once(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed: list[Path] = []
+    iterdir = Path.iterdir
+
+    def listing(folder: Path) -> Iterator[Path]:
+        listed.append(folder)
+        return iterdir(folder)
+
+    monkeypatch.setattr(Path, 'iterdir', listing)
+    assert _run(source, tmp_path / 'out.csv') == 0
+    assert listed == [source]
+
+
 def test_the_bow_may_be_at_the_first_edge_of_every_box(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
@@ -305,7 +320,7 @@ def test_the_bow_is_that_of_the_labels(tmp_path: Path, capsys: pytest.CaptureFix
     np.testing.assert_allclose(labels.reference, 99 + np.array(expected))
 
 
-def test_ends_without_a_bow_have_no_effect_and_say_so(
+def test_ends_without_a_bow_have_no_effect_and_a_warning_says_so(
     source: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     assert _run(source, tmp_path / 'one.csv') == 0

@@ -23,7 +23,7 @@ Same = Callable[[Sequence[ImageLabels], Sequence[ImageLabels]], None]
 
 @pytest.fixture
 def put(tmp_path: Path) -> Put:
-    """Write a file below the temporary folder; text goes out as UTF-8, ends as given."""
+    """Write a file below the temporary folder; text is UTF-8, its line ends unchanged."""
 
     def _put(name: str, content: str | bytes) -> Path:
         path = tmp_path / name
@@ -50,10 +50,10 @@ def make() -> Make:
 
 @pytest.fixture(scope='session')
 def assert_same() -> Same:
-    """Compare images with all they hold, except for the file they came from."""
+    """Compare all fields of images but their source."""
 
     def _assert_same(got: Sequence[ImageLabels], expected: Sequence[ImageLabels]) -> None:
-        assert [each.image for each in got] == [each.image for each in expected]
+        assert [image.image for image in got] == [image.image for image in expected]
         for one, other in zip(got, expected, strict=True):
             assert one.class_ids == other.class_ids
             assert one.ids == other.ids

@@ -71,12 +71,12 @@ def _read(path: Path, format_name: str) -> tuple[int, list[LabelError]]:
     return count, errors
 
 
-def test_every_format_of_text_is_here() -> None:
+def test_every_text_format_has_an_example() -> None:
     assert set(SOUND) == set(FORMATS) - {'shapefile'}
 
 
 @pytest.mark.parametrize('format_name', list(SOUND))
-def test_the_sound_file_holds_one_box(tmp_path: Path, format_name: str) -> None:
+def test_the_undamaged_file_holds_one_box(tmp_path: Path, format_name: str) -> None:
     path = tmp_path / 'file'
     path.write_text(SOUND[format_name])
     assert _read(path, format_name) == (1, [])

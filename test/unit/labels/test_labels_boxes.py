@@ -106,7 +106,7 @@ def test_no_digit_is_lost(tmp_path: Path, format_name: str, boxes: list) -> None
 
 
 @pytest.mark.parametrize('format_name', ['yolo', 'voc', 'csv', 'coco'])
-def test_an_image_without_boxes_stays(tmp_path: Path, format_name: str) -> None:
+def test_an_image_without_boxes_is_kept(tmp_path: Path, format_name: str) -> None:
     path = _target(tmp_path, format_name)
     write_boxes(path, [_boxes('P1', size=None), _boxes('P2', BOX)], format_name)
     read = list(read_labels(path, format_name, image_size=(128, 64)))
@@ -147,7 +147,7 @@ def _shapefile_row(path: Path) -> dict[str, object]:
         ('shapefile', _shapefile_row, float('nan')),
     ],
 )
-def test_diagnostics_are_columns_and_what_is_unknown_is_empty(
+def test_diagnostics_are_columns_and_unknown_ones_are_empty(
     tmp_path: Path, format_name: str, row: object, unknown: object
 ) -> None:
     path = _target(tmp_path, format_name)
@@ -159,15 +159,13 @@ def test_diagnostics_are_columns_and_what_is_unknown_is_empty(
 
 
 @pytest.mark.parametrize('format_name', ['yolo', 'voc'])
-def test_formats_without_a_place_for_diagnostics_refuse_them(
-    tmp_path: Path, format_name: str
-) -> None:
+def test_formats_that_cannot_hold_diagnostics_refuse_them(tmp_path: Path, format_name: str) -> None:
     with pytest.raises(ValueError, match='cannot hold diagnostics: use csv'):
         write_boxes(tmp_path / 'out', [_boxes('P1', BOX, diagnosed=True)], format_name)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_table_has_the_columns_that_are_promised(tmp_path: Path) -> None:
+def test_the_table_has_the_documented_columns(tmp_path: Path) -> None:
     write_boxes(tmp_path / 'a.csv', [_boxes('P1', BOX, diagnosed=True, ids=('7',))])
     header, row = (tmp_path / 'a.csv').read_text().splitlines()
     assert header == (
@@ -190,14 +188,14 @@ def test_a_coco_file_is_complete(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
-def test_coco_ids_that_are_not_unique_are_numbered_anew(tmp_path: Path) -> None:
+def test_coco_ids_that_are_not_unique_are_renumbered(tmp_path: Path) -> None:
     images = [_boxes(name, BOX, ids=('0',)) for name in ('a', 'b')]
     write_boxes(tmp_path / 'a.json', images)
     annotations = json.loads((tmp_path / 'a.json').read_text())['annotations']
     assert [(each['id'], each['instance']) for each in annotations] == [(1, '0'), (2, '0')]
 
 
-def test_a_voc_file_has_what_its_readers_ask_for(tmp_path: Path) -> None:
+def test_a_voc_file_has_the_elements_that_readers_need(tmp_path: Path) -> None:
     write_boxes(tmp_path / 'P1.xml', [_boxes('P1', BOX)])
     root = ElementTree.parse(tmp_path / 'P1.xml').getroot()
     assert root.findtext('filename') == 'P1'
@@ -208,7 +206,7 @@ def test_a_voc_file_has_what_its_readers_ask_for(tmp_path: Path) -> None:
     assert [float(each.text) for each in root.find('object/bndbox')] == list(BOX)
 
 
-def test_yolo_classes_are_numbered_beside_the_files(put: Put, tmp_path: Path) -> None:
+def test_yolo_classes_are_numbered_by_a_file_beside_the_labels(put: Put, tmp_path: Path) -> None:
     put('out/classes.txt', 'tug\n')
     write_boxes(tmp_path / 'out', [_boxes('P1', (32, 16, 96, 48))], 'yolo')
     assert (tmp_path / 'out' / 'classes.txt').read_text() == 'tug\nship\n'
@@ -227,7 +225,7 @@ def test_yolo_classes_are_numbered_beside_the_files(put: Put, tmp_path: Path) ->
         ('shapefile', {'image': 'x' * 255}, 'too long for a shapefile'),
     ],
 )
-def test_what_a_format_cannot_hold_is_refused_and_nothing_written(
+def test_values_that_a_format_cannot_hold_are_refused_and_nothing_is_written(
     tmp_path: Path, format_name: str, bad: dict, message: str
 ) -> None:
     path = _target(tmp_path, format_name)
@@ -248,7 +246,7 @@ def test_what_a_format_cannot_hold_is_refused_and_nothing_written(
         ('out.json', 'shapefile', r'ends in \.shp'),
     ],
 )
-def test_a_target_of_no_format_is_refused(
+def test_a_target_without_a_format_is_refused(
     tmp_path: Path, name: str, format_name: str | None, message: str
 ) -> None:
     if format_name == 'shapefile':
@@ -267,7 +265,7 @@ def test_a_target_of_no_format_is_refused(
         ('ids', ()),
     ],
 )
-def test_boxes_to_write_are_boxes(field: str, value: object) -> None:
+def test_fields_of_image_boxes_must_agree_and_be_finite(field: str, value: object) -> None:
     values = vars(_boxes('P1', BOX)) | {field: value}
     with pytest.raises(ValueError, match="image 'P1'"):
         ImageBoxes(**values)

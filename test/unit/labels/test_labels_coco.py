@@ -69,7 +69,7 @@ def test_four_corners_are_the_box_and_no_hull(put: Put) -> None:
     assert shapely.equals_exact(got, expected, tolerance=1e-9)
 
 
-def test_parts_of_a_ship_are_one_box_and_one_hull(put: Put) -> None:
+def test_several_polygons_are_one_box_and_one_hull(put: Put) -> None:
     parts = [[0, 0, 4, 0, 4, 2, 0, 2], [6, 0, 10, 0, 10, 2, 6, 2]]
     document = _document(annotations=[_annotation(segmentation=parts)])
     labels, _ = read_labels(put('a.json', json.dumps(document)))
@@ -125,7 +125,7 @@ RLE = {'size': [768, 1024], 'counts': 'X`2'}
         (17, 'not a JSON object'),
     ],
 )
-def test_a_malformed_annotation_is_reported_with_its_place(
+def test_a_malformed_annotation_is_reported_with_its_number(
     put: Put, bad: object, message: str
 ) -> None:
     errors: list[LabelError] = []
@@ -148,7 +148,7 @@ def test_a_malformed_annotation_is_reported_with_its_place(
         ('categories', {'id': None, 'name': 'x'}, "categories[1]: 'id' is None"),
     ],
 )
-def test_a_malformed_image_or_category_is_reported_with_its_place(
+def test_a_malformed_image_or_category_is_reported_with_its_number(
     put: Put, name: str, bad: object, place: str
 ) -> None:
     errors: list[LabelError] = []

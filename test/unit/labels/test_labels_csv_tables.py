@@ -55,7 +55,7 @@ def test_a_row_without_reference_and_mask_is_read(put: Put) -> None:
     assert labels.hulls[1] is None
 
 
-def test_columns_may_be_absent_in_any_order_and_more_than_known(put: Put) -> None:
+def test_columns_may_be_absent_unknown_and_in_any_order(put: Put) -> None:
     header = 'note,y4,x4,y3,x3,y2,x2,y1,x1,score, class ,instance,image'
     row = 'whatever,30,10,30,50,20,50,20,10,0.25,ship,7,b.jpg'
     (labels,) = read_labels(put('all.csv', _table(header, row)))
@@ -79,20 +79,20 @@ def test_rows_are_grouped_by_image_in_order_of_first_appearance(put: Put) -> Non
     ]  # fmt: skip
 
 
-def test_quoted_fields_are_read_as_csv_has_them(put: Put) -> None:
+def test_quoted_fields_are_unquoted(put: Put) -> None:
     row = f'"P0706@0,0=a ""b""",0,"ship, large",{BOX},,,,,'
     (labels,) = read_labels(put('all.csv', _table(HEADER, row)))
     assert labels.image == 'P0706@0,0=a "b"'
     assert labels.class_ids == ('ship, large',)
 
 
-def test_a_row_of_an_image_name_alone_is_an_image_without_boxes(put: Put) -> None:
+def test_a_row_with_only_an_image_name_is_an_image_without_boxes(put: Put) -> None:
     empty, full = read_labels(put('all.csv', _table(HEADER, f'a.jpg{"," * 15}', FULL)))
     assert (empty.image, empty.corners.shape) == ('a.jpg', (0, 4, 2))
     assert (full.image, full.corners.shape) == ('b.jpg', (1, 4, 2))
 
 
-def test_a_header_alone_is_no_image(put: Put) -> None:
+def test_a_table_with_only_a_header_has_no_images(put: Put) -> None:
     assert list(read_labels(put('all.csv', _table(HEADER)))) == []
 
 
@@ -107,7 +107,7 @@ def test_a_header_alone_is_no_image(put: Put) -> None:
         (f'{HEADER},"x', 'not a CSV row'),
     ],
 )
-def test_a_header_that_does_not_serve_is_an_error(put: Put, header: str, message: str) -> None:
+def test_an_unusable_header_is_an_error(put: Put, header: str, message: str) -> None:
     path = put('all.csv', _table('', header, FULL))
     with pytest.raises(LabelError) as caught:
         list(read_labels(path, 'csv'))
@@ -149,7 +149,7 @@ def test_with_on_error_the_other_tables_of_a_folder_are_read(put: Put, tmp_path:
         (f'"b"c,7,ship,{BOX},,,,,', 'not a CSV row'),
     ],
 )
-def test_a_malformed_row_is_an_error_that_costs_this_row_only(
+def test_a_malformed_row_is_an_error_and_only_this_row_is_lost(
     put: Put, row: str, message: str
 ) -> None:
     path = put('all.csv', _table(HEADER, FULL, '', row, FULL))
@@ -167,7 +167,7 @@ def test_a_score_has_to_be_a_finite_number(put: Put, score: str) -> None:
         list(read_labels(path))
 
 
-def test_a_hull_may_be_longer_than_the_fields_that_csv_allows(make: Make, tmp_path: Path) -> None:
+def test_a_hull_may_exceed_the_field_limit_of_the_csv_module(make: Make, tmp_path: Path) -> None:
     hull = np.random.default_rng(0).random((8000, 2))
     box = Box((0.0,) * 8, 'ship', hull=hull)
     write_labels(tmp_path / 'all.csv', [make('a', box)])
@@ -176,7 +176,7 @@ def test_a_hull_may_be_longer_than_the_fields_that_csv_allows(make: Make, tmp_pa
     np.testing.assert_array_equal(labels.hulls[0], hull)
 
 
-def test_a_table_is_written_with_the_columns_it_is_read_by(make: Make, tmp_path: Path) -> None:
+def test_a_table_is_written_with_the_columns_that_are_read(make: Make, tmp_path: Path) -> None:
     hull = np.array([[0.1, 0.0], [1.0, 0.0], [1.0, 1.5]])
     box = Box((10, 20, 50, 20, 50, 30, 10, 30), 'ship', '7', 1.0, (11, 21, 49, 29), hull)
     write_labels(tmp_path / 'all.csv', [make('a,b', box), make('c')])
@@ -188,7 +188,7 @@ def test_a_table_is_written_with_the_columns_it_is_read_by(make: Make, tmp_path:
     )
 
 
-def test_scores_are_written_where_they_say_something(make: Make, tmp_path: Path) -> None:
+def test_scores_are_written_if_one_is_not_1(make: Make, tmp_path: Path) -> None:
     write_labels(tmp_path / 'all.csv', [make('a'), make('b', Box((0.0,) * 8, 'ship', score=0.5))])
     lines = (tmp_path / 'all.csv').read_text().splitlines()
     assert [line.rpartition(',')[2] for line in lines] == ['score', '1.0', '0.5']
@@ -203,7 +203,7 @@ def test_scores_are_written_where_they_say_something(make: Make, tmp_path: Path)
         ('a', Box((0.0,) * 8, 'ship', '1\r\n2')),
     ],
 )
-def test_text_that_is_no_part_of_a_line_cannot_be_written(
+def test_text_with_a_line_break_cannot_be_written(
     make: Make, tmp_path: Path, image: str, box: Box
 ) -> None:
     with pytest.raises(ValueError, match=r'without a name|line break'):
@@ -239,7 +239,7 @@ IMAGES = st.lists(
 
 
 @given(images=IMAGES)
-def test_what_is_written_is_read_back_to_the_bit(
+def test_written_labels_are_read_back_to_the_bit(
     images: list[ImageLabels], assert_same: Same, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.mktemp('table') / 'all.csv'

@@ -69,7 +69,7 @@ def test_a_file_is_read_in_pixels(put: Put, text: str) -> None:
     assert labels.size is None
 
 
-def test_header_lines_alone_are_an_image_without_boxes(put: Put) -> None:
+def test_a_file_with_only_header_lines_is_an_image_without_boxes(put: Put) -> None:
     (labels,) = read_labels(put('P0706.txt', 'imagesource:GoogleEarth\ngsd:null\n'))
     assert labels.corners.shape == (0, 4, 2)
 
@@ -104,7 +104,7 @@ def test_a_file_is_written_without_header_lines(make: Make, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize('category', ['', ' ', 'storage tank', 'ship ', 'a,b', 'a\nb', 'a\u2003b'])
-def test_a_class_that_is_not_one_field_cannot_be_written(
+def test_a_class_that_is_not_exactly_one_field_cannot_be_written(
     make: Make, tmp_path: Path, category: str
 ) -> None:
     box = Box((0.0,) * 8, category)
@@ -132,7 +132,7 @@ IMAGES = st.lists(
 
 
 @given(images=IMAGES)
-def test_what_is_written_is_read_back_to_the_bit(
+def test_written_labels_are_read_back_to_the_bit(
     images: list[ImageLabels], assert_same: Same, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.mktemp('labelTxt')

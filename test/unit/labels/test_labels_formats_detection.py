@@ -20,7 +20,7 @@ YOLO = '0 0.780811 0.743961 0.782371 0.74686 0.777691 0.752174 0.776131 0.749758
 CSV = 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\n'
 
 
-def test_the_registry_names_each_format_as_it_names_itself() -> None:
+def test_the_registry_has_every_format_under_its_own_name() -> None:
     assert list(FORMATS) == [
         'dota', 'yolo_obb', 'yolo', 'csv', 'wkt', 'hrsc', 'voc', 'coco', 'geojson', 'shapefile',
     ]  # fmt: skip
@@ -63,13 +63,13 @@ def test_the_registry_names_each_format_as_it_names_itself() -> None:
         ('a.csv', '', 'csv'),
     ],
 )
-def test_a_file_is_told_by_suffix_and_content(
+def test_a_format_is_detected_by_suffix_and_content(
     put: Put, name: str, text: str, expected: str
 ) -> None:
     assert detect_format(put(name, text)) == expected
 
 
-def test_a_blank_file_counts_as_the_first_format_of_its_suffix(put: Put) -> None:
+def test_a_blank_file_has_the_first_format_of_its_suffix(put: Put) -> None:
     assert detect_format(put('a.txt', '\n')) == 'dota'
 
 
@@ -86,7 +86,7 @@ def test_a_blank_file_counts_as_the_first_format_of_its_suffix(put: Put) -> None
     ],
     ids=['words', 'too few numbers', 'both', 'other table', 'other XML', 'other JSON', 'no suffix'],
 )
-def test_what_cannot_be_told_is_refused_with_the_path_and_the_formats(
+def test_an_undetectable_format_is_an_error_with_the_path_and_all_formats(
     put: Put, name: str, text: str
 ) -> None:
     path = put(name, text)
@@ -95,7 +95,9 @@ def test_what_cannot_be_told_is_refused_with_the_path_and_the_formats(
     assert str(path) in str(caught.value)
 
 
-def test_a_folder_is_told_by_the_first_file_that_can_be(put: Put, tmp_path: Path) -> None:
+def test_the_first_file_with_a_detectable_format_decides_for_a_folder(
+    put: Put, tmp_path: Path
+) -> None:
     put('a.txt', '')
     put('b.txt', 'train/a.png\n')
     put('c.txt', YOLO)
@@ -104,13 +106,13 @@ def test_a_folder_is_told_by_the_first_file_that_can_be(put: Put, tmp_path: Path
     assert detect_format(str(tmp_path)) == 'yolo_obb'
 
 
-def test_a_folder_of_blank_files_beside_its_classes_is_told(put: Put, tmp_path: Path) -> None:
+def test_a_folder_of_blank_files_and_classes_txt_has_a_format(put: Put, tmp_path: Path) -> None:
     put('a.txt', '')
     put('classes.txt', 'ship\n')
     assert detect_format(tmp_path) == 'dota'
 
 
-def test_a_folder_of_several_formats_asks_for_a_name(put: Put, tmp_path: Path) -> None:
+def test_a_folder_of_several_formats_needs_a_name(put: Put, tmp_path: Path) -> None:
     put('a.txt', DOTA)
     put('all.csv', CSV)
     with pytest.raises(ValueError, match='more than one label format') as caught:
@@ -125,11 +127,11 @@ def test_a_folder_of_unknown_text_is_refused(put: Put, tmp_path: Path) -> None:
         detect_format(tmp_path)
 
 
-def test_a_folder_without_label_files_says_so(tmp_path: Path) -> None:
+def test_a_folder_without_label_files_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(LabelError, match='no label file'):
         detect_format(tmp_path)
 
 
-def test_a_missing_path_is_named(tmp_path: Path) -> None:
+def test_a_missing_path_is_an_error_that_names_it(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match='nowhere'):
         detect_format(tmp_path / 'nowhere')

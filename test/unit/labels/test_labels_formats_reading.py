@@ -42,7 +42,7 @@ def test_every_format_reads_the_same_box(
     assert labels.hulls == (None,)
 
 
-def test_a_path_may_be_text(put: Put) -> None:
+def test_a_path_may_be_a_string(put: Put) -> None:
     (labels,) = read_labels(str(put('P1.txt', DOTA)))
     assert labels.image == 'P1'
 
@@ -75,7 +75,7 @@ def test_only_label_files_directly_in_the_folder_are_read(
     assert [each.image for each in read_labels(tmp_path)] == ['P1']
 
 
-def test_files_are_read_only_when_their_turn_comes(put: Put, tmp_path: Path) -> None:
+def test_files_are_read_one_by_one(put: Put, tmp_path: Path) -> None:
     put('a.txt', DOTA)
     put('b.txt', DOTA)
     images = read_labels(tmp_path)
@@ -85,7 +85,7 @@ def test_files_are_read_only_when_their_turn_comes(put: Put, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize('format_name', [None, 'dota', 'yolo_obb', 'csv'])
-def test_a_missing_path_is_named_at_the_call(tmp_path: Path, format_name: str | None) -> None:
+def test_a_missing_path_is_an_error_of_the_call(tmp_path: Path, format_name: str | None) -> None:
     with pytest.raises(FileNotFoundError, match='nowhere'):
         read_labels(tmp_path / 'nowhere', format_name)
 
@@ -101,7 +101,7 @@ def test_a_folder_without_label_files_is_an_error_even_with_on_error(
     assert (caught.value.path, caught.value.line) == (tmp_path, None)
 
 
-def test_an_unknown_format_is_refused_with_those_there_are(put: Put) -> None:
+def test_an_unknown_format_is_an_error_that_lists_all_formats(put: Put) -> None:
     with pytest.raises(ValueError, match=r"'labelme'.*dota.*yolo_obb.*csv"):
         read_labels(put('P1.txt', DOTA), 'labelme')
 
@@ -188,7 +188,7 @@ class TestABadRecord:
         assert [error.line for error in errors] == [3], format_name
 
 
-def test_bytes_that_are_no_text_are_named(put: Put) -> None:
+def test_bytes_that_are_not_utf_8_are_named(put: Put) -> None:
     path = put('P1.txt', DOTA.encode() + b'10 20 50 20 50 30 10 30 sh\xefp 0\n')
     with pytest.raises(LabelError, match=r':2: not UTF-8 text: byte 0xef at position 27$'):
         list(read_labels(path))
@@ -217,7 +217,7 @@ def test_without_on_error_the_images_before_the_bad_record_are_read(
         next(images)
 
 
-def test_what_on_error_raises_ends_the_reading(put: Put) -> None:
+def test_an_exception_from_on_error_ends_the_reading(put: Put) -> None:
     def give_up(error: LabelError) -> None:
         raise RuntimeError(str(error))
 

@@ -29,7 +29,7 @@ def _names(folder: Path) -> list[str]:
 
 
 @pytest.mark.parametrize('format_name', TEXT_FORMATS)
-def test_a_folder_gets_a_file_an_image(
+def test_a_folder_gets_one_file_per_image(
     make: Make, assert_same: Same, tmp_path: Path, format_name: str
 ) -> None:
     images = [make('b', size=(64, 32)), make('a', size=(64, 32))]
@@ -47,7 +47,7 @@ def test_a_single_image_may_go_to_a_file(make: Make, tmp_path: Path, format_name
 
 
 @pytest.mark.parametrize('count', [0, 2])
-def test_a_text_file_is_for_one_image(make: Make, tmp_path: Path, count: int) -> None:
+def test_a_text_file_holds_exactly_one_image(make: Make, tmp_path: Path, count: int) -> None:
     images = [make(str(index)) for index in range(count)]
     with pytest.raises(ValueError, match=f'one image, not {count}'):
         write_labels(tmp_path / 'one.txt', images, 'dota')
@@ -72,7 +72,7 @@ def test_a_label_file_has_the_bare_name_of_its_image(
 
 
 @pytest.mark.parametrize('image', ['', '..', '.jpg', 'a/', '.hidden', 'classes', 'x/classes.png'])
-def test_a_name_that_would_not_be_read_back_is_refused(
+def test_an_image_name_that_would_not_be_read_back_is_refused(
     make: Make, tmp_path: Path, image: str
 ) -> None:
     with pytest.raises(ValueError, match='no label file can have this name'):
@@ -86,13 +86,17 @@ def test_images_that_would_share_a_file_are_refused(make: Make, tmp_path: Path) 
     assert _names(tmp_path) == []
 
 
-def test_the_suffix_names_the_format_where_only_one_has_it(make: Make, tmp_path: Path) -> None:
+def test_the_format_follows_from_a_suffix_that_only_one_format_has(
+    make: Make, tmp_path: Path
+) -> None:
     write_labels(str(tmp_path / 'all.csv'), [make('b'), make('a')])
     assert [each.image for each in read_labels(tmp_path / 'all.csv')] == ['b', 'a']
 
 
 @pytest.mark.parametrize('name', ['a.txt', 'labels', 'a.json'])
-def test_otherwise_the_format_has_to_be_named(make: Make, tmp_path: Path, name: str) -> None:
+def test_the_format_must_be_named_for_any_other_suffix(
+    make: Make, tmp_path: Path, name: str
+) -> None:
     with pytest.raises(ValueError, match=r'give the label format.*dota.*csv') as caught:
         write_labels(tmp_path / name, [make()])
     assert str(tmp_path / name) in str(caught.value)
@@ -134,7 +138,7 @@ SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
         ('hulls', (SQUARE.ravel(),)),
     ],
 )
-def test_what_would_not_be_read_back_is_refused_by_every_format(
+def test_values_that_would_not_be_read_back_are_refused_by_every_format(
     make: Make, tmp_path: Path, format_name: str, field: str, value: object
 ) -> None:
     bad = replace(make('bad', size=(64, 32)), **{field: value})
@@ -143,7 +147,7 @@ def test_what_would_not_be_read_back_is_refused_by_every_format(
     assert _names(tmp_path) == []
 
 
-def test_a_failure_on_the_way_leaves_the_older_file(put: Put, make: Make) -> None:
+def test_a_failure_while_writing_leaves_the_older_file(put: Put, make: Make) -> None:
     path = put('all.csv', 'older\n')
 
     def images() -> Iterator[ImageLabels]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a record of labels and an error are."""
+"""The labels of an image, and the errors of label files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FIELDS = {
 }
 
 
-def test_fields_that_agree_make_a_record() -> None:
+def test_fields_that_agree_are_accepted() -> None:
     labels = ImageLabels(**FIELDS)
     assert labels.corners is FIELDS['corners']
 
@@ -50,7 +50,7 @@ def test_fields_that_disagree_are_refused(field: str, value: object) -> None:
         ImageLabels(**{**FIELDS, field: value})
 
 
-def test_the_bow_is_where_the_labels_say_or_at_every_first_edge_or_not_known() -> None:
+def test_the_bow_is_where_the_labels_say_or_at_every_first_edge_or_unknown() -> None:
     upright = (0, 0, 4, 0, 4, 9, 0, 9)
     boxes = [Box(upright, 'ship', bow=True), Box(upright, 'ship'), Box((*upright[2:], 0, 0), '')]
     labels = assemble('P0706', boxes, None, Path('P0706.txt'))
@@ -86,6 +86,6 @@ def test_an_error_reads_as_path_line_message(line: int | None, text: str) -> Non
     assert (error.path, error.line, error.message) == (Path('labels/a.txt'), line, '3 fields')
 
 
-def test_an_error_survives_the_way_between_processes() -> None:
+def test_an_error_can_be_pickled() -> None:
     error = pickle.loads(pickle.dumps(LabelError(Path('a.txt'), 3, 'no')))
     assert str(error) == 'a.txt:3: no'

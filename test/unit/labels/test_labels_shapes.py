@@ -39,7 +39,7 @@ def _area(labels: ImageLabels, row: int = 0) -> float:
     return float(shapely.Polygon(labels.corners[row]).area)
 
 
-def test_a_feature_collection_as_the_standard_has_it(put: Put) -> None:
+def test_a_feature_collection_of_the_standard_is_read(put: Put) -> None:
     feature = _feature([TILTED], **{'class': 'ship', 'score': 0.5, 'image': 'P1', 'note': None})
     path = put('scene.geojson', _collection(feature | {'id': 7}))
     (labels,) = read_labels(path)
@@ -50,7 +50,7 @@ def test_a_feature_collection_as_the_standard_has_it(put: Put) -> None:
     assert _area(labels) == pytest.approx(shapely.Polygon(TILTED).area)
 
 
-def test_a_feature_may_say_nothing_but_its_polygon(put: Put) -> None:
+def test_a_feature_may_have_only_a_polygon(put: Put) -> None:
     feature = _feature([TILTED]) | {'properties': None}
     (labels,) = read_labels(put('scene.json', json.dumps(feature)))
     assert (labels.image, labels.class_ids, labels.ids) == ('scene', ('',), ('',))
@@ -64,7 +64,7 @@ def test_more_than_four_corners_are_a_hull_and_holes_are_part_of_it(put: Put) ->
     assert _area(labels) == pytest.approx(20.0)
 
 
-def test_parts_and_heights_are_one_ship(put: Put) -> None:
+def test_several_polygons_with_heights_are_one_ship(put: Put) -> None:
     (labels,) = read_labels(put('a.geojson', _collection(_feature(PARTS, 'MultiPolygon'))))
     assert labels.hulls[0] is not None
     assert _area(labels) == pytest.approx(18.0)
@@ -73,7 +73,7 @@ def test_parts_and_heights_are_one_ship(put: Put) -> None:
     assert labels.hulls == (None,)
 
 
-def test_an_upright_rectangle_is_its_own_reference(put: Put) -> None:
+def test_an_upright_rectangle_is_also_the_reference(put: Put) -> None:
     (labels,) = read_labels(put('a.geojson', _collection(_feature(PARTS[0]))))
     assert labels.reference.tolist() == [[0, 0, 4, 2]]
 
@@ -81,7 +81,7 @@ def test_an_upright_rectangle_is_its_own_reference(put: Put) -> None:
 @pytest.mark.parametrize('start', range(4))
 @pytest.mark.parametrize('closed', [True, False])
 @pytest.mark.parametrize('step', [1, -1])
-def test_an_upright_rectangle_is_one_from_any_corner_and_in_either_sense(
+def test_an_upright_rectangle_may_start_at_any_corner_and_run_in_either_direction(
     put: Put, start: int, closed: bool, step: int
 ) -> None:
     corners = PARTS[0][0][:-1][::step]
@@ -101,7 +101,7 @@ def test_four_corners_that_are_not_upright_have_no_reference(put: Put, ring: lis
     assert labels.hulls == (None,)
 
 
-def test_more_features_than_a_block_keep_their_order_and_their_errors(put: Put) -> None:
+def test_order_and_errors_are_kept_across_blocks_of_features(put: Put) -> None:
     flat = [[0, 0], [1, 1], [2, 2], [0, 0]]
     count = BLOCK + 3
     features = [_feature([flat if i % 4000 == 7 else HULL], id=i) for i in range(count)]
@@ -144,7 +144,7 @@ def test_a_collection_without_features_is_an_image_without_boxes(put: Put) -> No
         (5, 'not a JSON object'),
     ],
 )
-def test_a_malformed_feature_is_reported_with_its_place(
+def test_a_malformed_feature_is_reported_with_its_number(
     put: Put, bad: object, message: str
 ) -> None:
     errors: list[LabelError] = []
@@ -159,14 +159,14 @@ def test_a_malformed_feature_is_reported_with_its_place(
 WKT = shapely.Polygon(TILTED).wkt
 
 
-def test_a_table_of_wkt_as_gdal_writes_it(put: Put) -> None:
+def test_a_wkt_table_of_gdal_is_read(put: Put) -> None:
     path = put('scene.csv', f'WKT,class,id\n"{WKT}",ship,7\n"{WKT}",,\n')
     (labels,) = read_labels(path)
     assert (labels.image, labels.class_ids, labels.ids) == ('scene', ('ship', ''), ('7', ''))
     assert _area(labels) == pytest.approx(20.0)
 
 
-def test_a_table_of_wkt_may_name_images_and_scores(put: Put) -> None:
+def test_a_wkt_table_may_have_images_and_scores(put: Put) -> None:
     parts = shapely.MultiPolygon([shapely.Polygon(part[0]) for part in PARTS]).wkt
     rows = f'a.png,0.5,"SRID=32632;{WKT}"\nb.png,,"{parts}"\na.png,,"{WKT}"\n'
     path = put('scene.csv', f'image,score,geometry\n{rows}')
@@ -189,7 +189,7 @@ def test_a_table_of_wkt_may_name_images_and_scores(put: Put) -> None:
         (f'"{WKT}",ship', '3 fields'),
     ],
 )
-def test_a_malformed_row_of_wkt_is_reported_with_its_line(put: Put, row: str, message: str) -> None:
+def test_a_malformed_wkt_row_is_reported_with_its_line(put: Put, row: str, message: str) -> None:
     errors: list[LabelError] = []
     path = put('a.csv', f'class,wkt\nship,"{WKT}"\nship,{row}\nship,"{WKT}"\n')
     (labels,) = read_labels(path, on_error=errors.append)
@@ -198,7 +198,7 @@ def test_a_malformed_row_of_wkt_is_reported_with_its_line(put: Put, row: str, me
     assert message in errors[0].message
 
 
-def test_a_table_without_wkt_names_the_columns_it_looks_for(put: Put) -> None:
+def test_a_table_without_wkt_is_an_error_that_names_the_columns(put: Put) -> None:
     with pytest.raises(LabelError, match=r'a\.csv:1: no column of WKT: wkt, geometry'):
         list(read_labels(put('a.csv', 'image,x\n'), 'wkt'))
 
@@ -210,7 +210,7 @@ def _shapefile(path: Path, geometries: list[object], **columns: list[object]) ->
     return path
 
 
-def test_a_shapefile_as_geopandas_writes_it(tmp_path: Path) -> None:
+def test_a_shapefile_of_geopandas_is_read(tmp_path: Path) -> None:
     parts = shapely.MultiPolygon([shapely.Polygon(part[0]) for part in PARTS])
     path = _shapefile(
         tmp_path / 'scene.shp',
@@ -245,7 +245,7 @@ def test_a_shapefile_of_points_has_no_polygons(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('content', [b'', b'hello', b'\x00\x00\x27\x0a' + b'\x00' * 40])
-def test_what_is_no_shapefile_is_one_error(put: Put, content: bytes) -> None:
+def test_a_file_that_is_not_a_shapefile_is_one_error(put: Put, content: bytes) -> None:
     pytest.importorskip('geopandas')
     errors: list[LabelError] = []
     path = put('a.shp', content)

@@ -82,7 +82,7 @@ def _object(body: str) -> str:
     return f'<object><name>ship</name><difficult>0</difficult>{body}</object>'
 
 
-def test_an_hrsc_file_as_the_data_set_has_it(put: Put) -> None:
+def test_an_hrsc_file_of_the_data_set_is_read(put: Put) -> None:
     (labels,) = read_labels(put('x.xml', HRSC.format(SHIP)))
     assert labels.image == '100000001'
     assert labels.size == (1138, 833)
@@ -116,13 +116,13 @@ def test_the_head_point_of_an_hrsc_ship_is_its_bow(
 
 
 @pytest.mark.parametrize('head', ['0 0', '200 300', '250 300', '230 320', 'left 300', ' ', 'inf 1'])
-def test_a_head_point_that_is_at_no_end_says_nothing(put: Put, head: str) -> None:
+def test_a_head_point_far_from_both_ends_is_ignored(put: Put, head: str) -> None:
     (labels,) = read_labels(put('x.xml', HRSC.format(_hrsc_ship('60 20', 0.0, head + ' '))))
     assert len(labels.class_ids) == 1
     assert labels.bow is None
 
 
-def test_a_head_point_of_0_0_is_none_even_beside_a_ship(put: Put) -> None:
+def test_a_head_point_of_0_0_is_ignored_even_beside_a_ship(put: Put) -> None:
     ship = _hrsc_ship('60 20', 0.0, '0 0').replace('>200<', '>31<').replace('>300<', '>0<')
     (labels,) = read_labels(put('x.xml', HRSC.format(ship)))
     assert labels.bow is None
@@ -187,7 +187,7 @@ def test_a_malformed_hrsc_ship_is_reported_with_number_and_line(
     assert message in error.message
 
 
-def test_a_voc_object_is_upright_and_its_own_reference(put: Put) -> None:
+def test_a_voc_object_is_upright_and_also_the_reference(put: Put) -> None:
     (labels,) = read_labels(put('P1.xml', VOC.format(_object(BNDBOX))))
     assert labels.image == 'P1'
     assert labels.size == (1024, 768)
@@ -196,7 +196,7 @@ def test_a_voc_object_is_upright_and_its_own_reference(put: Put) -> None:
     assert labels.corners.tolist() == [[[80, 40], [190.5, 40], [190.5, 97], [80, 97]]]
 
 
-def test_a_box_of_rolabelimg_is_turned_clockwise_by_radians(put: Put) -> None:
+def test_a_rolabelimg_angle_is_in_radians_clockwise(put: Put) -> None:
     (labels,) = read_labels(put('P1.xml', VOC.format(_object(ROLABELIMG + BNDBOX))))
     boxes = OrientedBoxes.from_corners(labels.corners)
     np.testing.assert_allclose(boxes.center.ravel(), [135, 68])
@@ -207,13 +207,13 @@ def test_a_box_of_rolabelimg_is_turned_clockwise_by_radians(put: Put) -> None:
     assert right[1] > 68 + 55 * math.sin(0.36) - 15
 
 
-def test_a_box_of_dior_r_has_its_corners(put: Put) -> None:
+def test_a_dior_r_box_has_corners(put: Put) -> None:
     (labels,) = read_labels(put('P1.xml', VOC.format(_object(DIOR))))
     assert labels.corners.tolist() == [[[10, 20], [50, 22], [49, 32], [9, 30]]]
     assert np.isnan(labels.reference).all()
 
 
-def test_the_given_image_size_wins_and_an_unusable_one_counts_as_none(put: Put) -> None:
+def test_the_caller_overrides_the_image_size_and_an_unusable_one_counts_as_none(put: Put) -> None:
     path = put('P1.xml', VOC.format(''))
     assert next(read_labels(path, image_size=(5, 6))).size == (5, 6)
     path = put('P1.xml', VOC.format('').replace('1024', '0'))
@@ -275,7 +275,7 @@ def test_a_file_that_cannot_be_used_is_one_error(
     assert message in errors[0].message
 
 
-def test_xml_may_be_deep_and_in_another_encoding(put: Put) -> None:
+def test_xml_may_be_deeply_nested_and_in_another_encoding(put: Put) -> None:
     deep = '<x>' * 20000 + '</x>' * 20000
     text = VOC.format(_object(BNDBOX + deep))
     (labels,) = read_labels(put('P1.xml', text))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 SIZE = (640, 480)
 
 
-def test_a_label_file_as_the_documentation_shows_it(put: Put) -> None:
+def test_the_documented_example_is_read(put: Put) -> None:
     put('classes.txt', 'head\nship\n')
     path = put('a.txt', '1 0.5 0.25 0.25 0.5\n0 0.1 0.1 0.2 0.2\n')
     (labels,) = read_labels(path, image_size=SIZE)
@@ -31,7 +31,7 @@ def test_a_label_file_as_the_documentation_shows_it(put: Put) -> None:
 @pytest.mark.parametrize(
     ('end', 'score', 'track'), [('', 1.0, ''), (' 0.75', 0.75, ''), (' 0.75 17', 0.75, '17')]
 )
-def test_predictions_end_in_confidence_and_track(
+def test_predictions_end_with_confidence_and_track(
     put: Put, end: str, score: float, track: str
 ) -> None:
     (labels,) = read_labels(put('a.txt', f'0 0.5 0.5 0.2 0.2{end}\n'), image_size=SIZE)

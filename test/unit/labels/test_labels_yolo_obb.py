@@ -48,7 +48,7 @@ def test_the_documented_example_is_read_in_pixels(put: Put) -> None:
     ('end', 'score', 'track'),
     [('', 1.0, ''), (' 1', 1.0, ''), (' 0', 0.0, ''), (' 0.875 17', 0.875, '17')],
 )
-def test_predictions_end_in_confidence_and_track(
+def test_predictions_end_with_confidence_and_track(
     put: Put, end: str, score: float, track: str
 ) -> None:
     (labels,) = read_labels(put('a.txt', f'{BOX}{end}\n'), image_size=SIZE)
@@ -57,7 +57,7 @@ def test_predictions_end_in_confidence_and_track(
     assert labels.ids == (track,)
 
 
-def test_boxes_may_reach_out_of_the_image(put: Put) -> None:
+def test_boxes_may_extend_beyond_the_image(put: Put) -> None:
     (labels,) = read_labels(put('a.txt', '0 -1 0 2 0 2 1 -1 1'), image_size=(100, 100))
     assert labels.corners[0, :, 0].tolist() == [-100, 200, 200, -100]
 
@@ -103,7 +103,7 @@ def test_an_index_without_a_name_is_malformed(put: Put, names: str) -> None:
         list(read_labels(put('a.txt', BOX), image_size=SIZE))
 
 
-def test_a_classes_txt_that_is_no_text_is_an_error_in_that_file(put: Put, tmp_path: Path) -> None:
+def test_a_classes_txt_that_is_not_text_is_an_error_in_that_file(put: Put, tmp_path: Path) -> None:
     put('classes.txt', b'plane\nsh\xefp\n')
     put('a.txt', BOX)
     put('b.txt', BOX)
@@ -147,7 +147,7 @@ def test_the_size_is_found_from_a_relative_path(
 
 
 @pytest.mark.parametrize('orientation', range(1, 9))
-def test_the_size_is_that_of_the_image_as_it_is_shown(
+def test_the_size_is_that_of_the_image_as_displayed(
     put: Put, tmp_path: Path, orientation: int
 ) -> None:
     image = pytest.importorskip('PIL.Image')
@@ -161,7 +161,7 @@ def test_the_size_is_that_of_the_image_as_it_is_shown(
 
 
 @pytest.mark.filterwarnings('error')
-def test_the_size_of_an_image_that_pillow_warns_of_is_read(
+def test_the_size_of_an_image_that_pillow_warns_about_is_read(
     put: Put, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _put_image(tmp_path / 'a.png', SIZE)
@@ -171,7 +171,7 @@ def test_the_size_of_an_image_that_pillow_warns_of_is_read(
     assert read.size == SIZE
 
 
-def test_an_image_that_is_too_large_takes_an_image_size(
+def test_an_image_that_is_too_large_needs_an_image_size(
     put: Put, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _put_image(tmp_path / 'a.png', SIZE)
@@ -183,7 +183,7 @@ def test_an_image_that_is_too_large_takes_an_image_size(
     assert read.size == SIZE
 
 
-def test_an_image_size_given_comes_before_that_of_the_image(put: Put, tmp_path: Path) -> None:
+def test_the_image_size_of_the_caller_overrides_the_image(put: Put, tmp_path: Path) -> None:
     _put_image(tmp_path / 'a.png', (10, 10))
     (read,) = read_labels(put('a.txt', BOX), image_size=SIZE)
     assert read.size == SIZE
@@ -213,7 +213,7 @@ def test_without_pillow_the_error_says_what_to_pass(
         list(read_labels(put('a.txt', BOX)))
 
 
-def test_with_on_error_the_files_of_unknown_size_are_left_out(put: Put, tmp_path: Path) -> None:
+def test_with_on_error_files_of_unknown_size_are_left_out(put: Put, tmp_path: Path) -> None:
     _put_image(tmp_path / 'b.png', SIZE)
     for name in ('a.txt', 'b.txt', 'c.txt'):
         put(name, BOX)
@@ -242,7 +242,7 @@ def test_an_image_without_boxes_needs_no_size(tmp_path: Path) -> None:
     assert (tmp_path / 'a.txt').read_text() == ''
 
 
-def test_scores_are_written_where_they_say_something(make: Make, tmp_path: Path) -> None:
+def test_scores_are_written_if_one_is_not_1(make: Make, tmp_path: Path) -> None:
     image = make('a', IN_BOX, IN_BOX._replace(score=0.5, id='17'), size=SIZE)
     write_labels(tmp_path, [image], 'yolo_obb')
     assert (tmp_path / 'a.txt').read_text() == f'{BOX} 1.0\n{BOX} 0.5\n'
@@ -259,7 +259,7 @@ def test_names_are_numbered_by_classes_txt(make: Make, tmp_path: Path) -> None:
     assert [each.class_ids for each in read] == [('ship',), ('7', 'ship')]
 
 
-def test_names_that_classes_txt_has_keep_their_number(put: Put, make: Make, tmp_path: Path) -> None:
+def test_names_in_classes_txt_keep_their_number(put: Put, make: Make, tmp_path: Path) -> None:
     put('classes.txt', 'plane\nship\n')
     boxes = [IN_BOX._replace(class_id=name) for name in ('buoy', 'ship')]
     write_labels(tmp_path, [make('a', *boxes, size=SIZE)], 'yolo_obb')
@@ -279,7 +279,7 @@ def test_names_that_classes_txt_has_keep_their_number(put: Put, make: Make, tmp_
         (IN_BOX._replace(class_id='a\nb'), SIZE, 'cannot be a line'),
     ],
 )
-def test_what_would_not_be_read_back_is_refused(
+def test_values_that_would_not_be_read_back_are_refused(
     make: Make, tmp_path: Path, box: Box, size: tuple[int, int] | None, message: str
 ) -> None:
     images = [make('a', IN_BOX, size=SIZE), make('b', box, size=size)]
@@ -288,7 +288,7 @@ def test_what_would_not_be_read_back_is_refused(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_written_is_read_back_within_rounding(make: Make, tmp_path: Path) -> None:
+def test_written_labels_are_read_back_within_rounding(make: Make, tmp_path: Path) -> None:
     corners = np.random.default_rng(0).uniform(-50, 700, (100, 8))
     boxes = [IN_BOX._replace(corners=row, score=index / 100) for index, row in enumerate(corners)]
     write_labels(tmp_path, [make('a', *boxes, size=(653, 481))], 'yolo_obb')
