@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base of all errors that this package raises on purpose."""
+"""The base of the error classes of this package."""
 
 
 class ObbhbbError(Exception):
     """
-    Something that a caller gave, or a file or message holds, cannot be used; the text says what.
+    An input, a file or a message that cannot be used; the text says why.
 
     Every error class of the package derives from this one, and from the built-in exception that
-    fits it best, so that `except ValueError` works as well.
+    fits it best, so that `except ValueError` works as well. An argument that is out of range or of
+    the wrong type raises a plain ValueError or TypeError.
     """

@@ -428,7 +428,10 @@ def _known_bows(
     with np.errstate(over='ignore', invalid='ignore'):
         length, width = _squared(ahead), _squared(aside)
     # False where a box has a defect, NaN, or its square overflows.
-    return (width <= length) & (length < np.inf) & np.broadcast_to(claimed, length.shape)
+    known: NDArray[np.bool_] = (width <= length) & (length < np.inf)
+    if np.shape(claimed) not in ((), known.shape):
+        raise ValueError(f'bow must be a bool or have shape {known.shape}, not {np.shape(claimed)}')
+    return known & np.asarray(claimed, np.bool_)
 
 
 def range_defect(points: FloatArray) -> Defect:

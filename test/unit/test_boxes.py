@@ -234,3 +234,134 @@ def test_a_few_corners_give_the_boxes_that_they_give_among_many(rows, rounded) -
     for name in ('center', 'first', 'second', 'defects'):
         few, many = getattr(alone, name), getattr(among, name)
         np.testing.assert_array_equal(many, np.concatenate([few] * 5))
+
+
+# A sequence of boxes ---------------------------------------------------------------------------
+
+ROWS = np.array(
+    [[50.0, 40, 60, 20, 0.3], [9, 9, 4, 2, 1], [5, 5, 0, 2, 0], [8, 7, 6, 5, -1.2], [1, 2, 9, 3, 0]]
+)
+NAMES = ['center', 'first', 'second', 'defects', 'bow', 'long_axis', 'short_axis']
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_boxes_cannot_be_changed(name) -> None:
+    boxes = OrientedBoxes.from_xywhr(ROWS, bow=True)
+    with pytest.raises(ValueError, match='read-only'):
+        getattr(boxes, name)[:] = 0
+    with pytest.raises(AttributeError):
+        setattr(boxes, name, getattr(boxes, name))
+
+
+@pytest.mark.parametrize('count', [0, 1, 20_000])
+@pytest.mark.parametrize('name', ['center', 'first', 'second', 'long_axis', 'short_axis'])
+def test_points_and_vectors_have_a_row_for_each_box(name, count) -> None:
+    assert getattr(OrientedBoxes.from_xywhr(np.ones((count, 5))), name).shape == (count, 2)
+
+
+@pytest.mark.parametrize(
+    'rows',
+    [slice(1, 4), slice(None, None, -1), [3, 0, 0], np.array([True, False, True, True, False]), []],
+    ids=str,
+)
+def test_any_index_of_numpy_selects_boxes(rows) -> None:
+    boxes, indices = OrientedBoxes.from_xywhr(ROWS, bow=True), np.arange(len(ROWS))[rows]
+    assert boxes[rows] == OrientedBoxes.from_xywhr(ROWS[indices.astype(int)], bow=True)
+
+
+@pytest.mark.parametrize('row', [0, 4, -1, np.int64(2)])
+def test_an_integer_selects_one_box(row) -> None:
+    boxes = OrientedBoxes.from_xywhr(ROWS)
+    assert boxes[row] == OrientedBoxes.from_xywhr(ROWS[[row]])
+
+
+@pytest.mark.parametrize('row', [5, -6])
+def test_an_integer_out_of_range_is_an_error(row) -> None:
+    with pytest.raises(IndexError):
+        OrientedBoxes.from_xywhr(ROWS)[row]
+
+
+def test_iteration_gives_one_box_at_a_time() -> None:
+    boxes = OrientedBoxes.from_xywhr(ROWS, bow=True)
+    parts = list(boxes)
+    assert [len(part) for part in parts] == [1] * 5
+    assert OrientedBoxes.concatenate(parts) == boxes
+
+
+def test_boxes_are_joined_in_order() -> None:
+    boxes = OrientedBoxes.from_xywhr(ROWS, bow=True)
+    assert OrientedBoxes.concatenate([boxes[2:], boxes[:2]]) == boxes[[2, 3, 4, 0, 1]]
+    assert OrientedBoxes.concatenate([]) == OrientedBoxes.from_xywhr([])
+    assert OrientedBoxes.concatenate([boxes[:2], boxes[3:]]).valid.all()
+
+
+def test_boxes_are_equal_to_the_last_bit_or_not() -> None:
+    boxes = OrientedBoxes.from_xywhr(ROWS)
+    assert boxes == OrientedBoxes.from_xywhr(ROWS)
+    assert boxes != OrientedBoxes.from_xywhr(ROWS + [0, 0, 0, 0, 1e-9])
+    assert boxes != OrientedBoxes.from_xywhr(ROWS, bow=True)
+    assert boxes != boxes[:4]
+    assert boxes != ROWS.tolist()
+    # Of another defect.
+    assert boxes[2] != OrientedBoxes.from_xywhr([[5, 5, -1, 2, 0]])
+
+
+def test_the_text_of_boxes_shows_how_many_and_the_first() -> None:
+    boxes = OrientedBoxes.from_xywhr(ROWS)
+    lines = repr(boxes).splitlines()
+    assert lines[0] == '<OrientedBoxes: 5 boxes, 1 invalid, xywhr:'
+    assert len(lines) == 4
+    assert lines[-1].endswith(' ...>')
+    assert repr(boxes[0]) == '<OrientedBoxes: 1 box, xywhr:\n[[50.  40.  60.  20.   0.3]]>'
+    assert repr(boxes[:0]) == '<OrientedBoxes: 0 boxes, xywhr:\n[]>'
+
+
+def test_boxes_are_no_array_and_the_error_says_what_is() -> None:
+    with pytest.raises(TypeError, match=r'take \.xywhr'):
+        np.asarray(OrientedBoxes.from_xywhr(ROWS))
+
+
+# Other forms -----------------------------------------------------------------------------------
+
+
+@given(xywhr(), st.booleans())
+def test_xywhr_gives_the_same_boxes_and_bows(rows, bow) -> None:
+    boxes = OrientedBoxes.from_xywhr(rows, bow=bow)
+    again = OrientedBoxes.from_xywhr(boxes.xywhr, bow=boxes.bow)
+    slack = 1e-11 * np.abs(rows[:, :4]).max()
+    # The corners may start with another one, and run the other way round.
+    orders = [np.roll(again.corners[:, ::way], i, axis=1) for i in range(4) for way in (1, -1)]
+    assert (np.abs(orders - boxes.corners).max(axis=(2, 3)).min(axis=0) <= slack).all()
+    heading = boxes.bow & again.bow
+    np.testing.assert_allclose(again.first[heading], boxes.first[heading], atol=slack)
+    # A square may lose its bow to rounding; nothing else does.
+    assert (boxes.bow == again.bow)[boxes.length > 1.001 * boxes.width].all()
+
+
+def test_flat_corners_are_corners() -> None:
+    corners = OrientedBoxes.from_xywhr(ROWS).corners
+    assert OrientedBoxes.from_corners(corners.reshape(-1, 8)) == OrientedBoxes.from_corners(corners)
+    flat = corners[0].ravel().tolist()
+    assert OrientedBoxes.from_corners([flat]) == OrientedBoxes.from_corners(corners[:1])
+
+
+def test_angles_may_be_in_degrees() -> None:
+    degrees = OrientedBoxes.from_xywhr([[5, 5, 4, 2, 30], [5, 5, 4, 2, -90]], degrees=True)
+    np.testing.assert_allclose(degrees.theta, np.radians([30, -90]))
+
+
+def test_polygons_may_be_those_of_shapely() -> None:
+    ring = [(0, 0), (9, 0), (9, 4), (0, 4)]
+    hole = [[(1, 1), (2, 1), (2, 2)]]
+    geometries = [shapely.Polygon(ring, hole), shapely.MultiPoint(ring), shapely.Polygon()]
+    boxes = OrientedBoxes.from_polygons([*geometries, ring])
+    assert boxes.defects.tolist() == [0, 0, Defect.TOO_FEW_POINTS, 0]
+    np.testing.assert_allclose(boxes.length[[0, 1, 3]], 9)
+
+
+def test_boxes_become_polygons_of_shapely_and_the_invalid_none() -> None:
+    boxes = OrientedBoxes.from_xywhr(ROWS)
+    polygons = boxes.to_polygons()
+    assert [polygon is None for polygon in polygons] == (~boxes.valid).tolist()
+    np.testing.assert_allclose(shapely.area(polygons[boxes.valid]), [1200, 8, 30, 27])
+    assert OrientedBoxes.from_polygons(polygons[boxes.valid]).valid.all()

@@ -19,6 +19,7 @@ from obbhbb_ros import convert
 from obbhbb_ros.geometry.boxes import BLOCK
 from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import convert_with_diagnostics
 from obbhbb_ros.geometry.converter import half_extents
 from obbhbb_ros.geometry.methods import METHODS
@@ -346,6 +347,26 @@ def test_a_result_that_overflows_is_nan_not_infinite(method) -> None:
 def test_a_parameter_out_of_range_is_an_error_that_names_it(argument, value) -> None:
     with pytest.raises(ValueError, match=f'^{argument} must'):
         convert(OrientedBoxes.from_xywhr([[0, 0, 4, 2, 0]]), **{argument: value})
+
+
+@pytest.mark.parametrize('argument', ['q', 'f', 's', 'q_bow', 'max_length'])
+def test_a_parameter_that_is_no_number_is_an_error_that_names_it(argument) -> None:
+    with pytest.raises(TypeError, match=f"^{argument} must be a number, not '3'"):
+        convert(OrientedBoxes.from_xywhr([[0, 0, 4, 2, 0]]), **{argument: '3'})
+
+
+@pytest.mark.parametrize('boxes', [np.zeros((3, 5)), [[0, 0, 4, 2, 0]], None], ids=type)
+@pytest.mark.parametrize(
+    'function', [convert, lambda boxes: centers_and_extents(boxes, [HullRule()])]
+)
+def test_anything_but_oriented_boxes_is_an_error_that_says_what_to_pass(function, boxes) -> None:
+    with pytest.raises(TypeError, match=r'OrientedBoxes, not .*OrientedBoxes\.from_xywhr'):
+        function(boxes)
+
+
+def test_the_options_of_convert_are_named() -> None:
+    with pytest.raises(TypeError, match='positional'):
+        convert(OrientedBoxes.from_xywhr([[0, 0, 4, 2, 0]]), 'outer')
 
 
 def test_diagnostics_are_those_of_algorithm_1() -> None:
