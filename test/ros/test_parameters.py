@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters while the node runs: what is accepted, what is refused, and when it holds."""
+"""Parameters while the node runs: which are accepted, which are refused, and when they apply."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ AFTER_EACH = 6
 
 
 class Flow:
-    """A stream of messages at 125 Hz, each with the parameter sets that it may be under."""
+    """A stream of messages at 125 Hz, each with the parameter sets that may apply to it."""
 
     def __init__(self, node: Converter) -> None:
         self._node = node
@@ -137,7 +137,7 @@ class Flow:
         self.allowed: dict[int, list[Values]] = {}
 
     def run(self, condition: Callable[[], Any], allowed: list[Values]) -> None:
-        """Send messages until something holds."""
+        """Send messages until a condition holds."""
         while not condition():
             now = time.monotonic()
             if now >= self._due:
@@ -146,8 +146,8 @@ class Flow:
             self._node.peer.spin(0.001)
 
     def overtaken_by(self, coming: list[Values]) -> None:
-        """Allow what is on its way to be converted after a request that is sent later."""
-        answered = {stamp_of(each) for each in self._node.boxes}
+        """Allow messages on their way to be converted after a request that is sent later."""
+        answered = {stamp_of(answer) for answer in self._node.boxes}
         for stamp in self.allowed.keys() - answered:
             self.allowed[stamp] = self.allowed[stamp] + coming
 
@@ -155,7 +155,7 @@ class Flow:
         return len(self.allowed)
 
     def check(self, answers: list[Detection2DArray]) -> None:
-        """Hold every box of every answer against what its message may be under."""
+        """Compare the boxes of every answer with those under the sets that may apply to it."""
         assert len(answers) > self.count() / 2
         for answer in answers:
             candidates = [expected(values) for values in self.allowed[stamp_of(answer)]]
@@ -164,7 +164,7 @@ class Flow:
 
 
 def flow_through(node: Converter, service: str, steps: list[list[Values]]) -> Flow:
-    """Go through sets of parameters, each given by all that a message may see on the way to it."""
+    """Go through sets of parameters; each step lists the sets that may apply on the way to it."""
     flow = Flow(node)
     for on_the_way in steps:
         request = SERVICES[service].Request(parameters=parameters_of(on_the_way[-1]))
@@ -175,12 +175,12 @@ def flow_through(node: Converter, service: str, steps: list[list[Values]]) -> Fl
         enough = flow.count() + AFTER_EACH
         flow.run(lambda enough=enough: flow.count() >= enough, on_the_way[-1:])
     last = max(flow.allowed)
-    node.wait(lambda: any(stamp_of(each) == last for each in node.boxes), 'the last answer')
+    node.wait(lambda: any(stamp_of(answer) == last for answer in node.boxes), 'the last answer')
     return flow
 
 
 def one_by_one(before: Values, after: Values) -> list[Values]:
-    """List what lies between two sets when they are exchanged entry by entry."""
+    """List the sets between two sets whose entries are exchanged one by one."""
     names = list(after)
     return [
         {**before, **{name: after[name] for name in names[:count]}}
@@ -217,7 +217,7 @@ def test_sets_that_are_rejected_change_no_message_that_flows(node: Converter) ->
     flow.check(node.boxes[:-1])
 
 
-# What is accepted, and what is refused --------------------------------------------------------
+# Accepted and refused values -----------------------------------------------------------------
 
 REFUSED = [
     ('q', float('nan')),
@@ -332,7 +332,7 @@ def test_a_rejected_set_changes_nothing(node: Converter, bad: Values, place: int
     np.testing.assert_array_equal(answer, axis_aligned(SHIPS))
 
 
-def test_set_one_by_one_each_entry_stands_for_itself(node: Converter) -> None:
+def test_set_one_by_one_every_entry_is_judged_by_itself(node: Converter) -> None:
     results = node.set_one_by_one({'q': 5.0, 's': 9.0, 'f': 0.5})
     assert [result.successful for result in results] == [True, False, True]
     assert node.get('q', 's', 'f') == [5.0, 1.0, 0.5]
@@ -343,7 +343,7 @@ def test_set_one_by_one_each_entry_stands_for_itself(node: Converter) -> None:
 @pytest.mark.parametrize(
     ('name', 'value'), [('autostart', False), ('input_type', 'PolygonStamped')]
 )
-def test_what_is_read_only_stays(node: Converter, name: str, value: Any) -> None:
+def test_a_read_only_parameter_stays(node: Converter, name: str, value: Any) -> None:
     before = node.get(name)
     result = node.set_atomically({name: value, 'q': 9.0})
     assert not result.successful
@@ -356,7 +356,7 @@ def test_an_unknown_parameter_is_refused(node: Converter) -> None:
     assert node.get('q') == [3.0]
 
 
-# What tools are told --------------------------------------------------------------------------
+# Descriptions for tools -----------------------------------------------------------------------
 
 TYPES = {
     'bool': ParameterType.PARAMETER_BOOL,
@@ -370,8 +370,8 @@ TYPES = {
 def test_the_parameters_are_those_of_the_contract() -> None:
     assert {spec.name for spec in OBB_TO_HBB.rows} == CONTRACT
     names = {spec.name for spec in OBB_TO_HBB.class_rows}
-    own = ('method', 'q', 'f', 's', 'weight', 'crop_q', 'min_score', 'q_bow', 'q_stern')
-    assert names == {f'classes.<id>.{name}' for name in own}
+    of_class = ('method', 'q', 'f', 's', 'weight', 'crop_q', 'min_score', 'q_bow', 'q_stern')
+    assert names == {f'classes.<id>.{name}' for name in of_class}
 
 
 def test_the_overlay_has_every_parameter_of_its_contract_and_no_other() -> None:
@@ -407,14 +407,15 @@ def test_a_node_takes_the_parameter_file_that_comes_with_it(
     folders = {'spool.path': tmp_path / 'spool', 'outbox.path': tmp_path / 'outbox'}
     arguments = ['--params-file', str(ROOT / 'config' / f'{file}.yaml')]
     if executable == 'downlink':
-        # Those of the file are empty.
-        arguments += [each for name, path in folders.items() for each in ('-p', f'{name}:={path}')]
+        # The folders in the file are empty.
+        for name, path in folders.items():
+            arguments += ['-p', f'{name}:={path}']
     with Node(site, executable) as node:
         node.start(arguments)
-        given = read_values(ROOT / 'config' / f'{file}.yaml', f'/{executable}')
+        values = read_values(ROOT / 'config' / f'{file}.yaml', f'/{executable}')
         if executable == 'downlink':
-            given |= {name: str(path) for name, path in folders.items()}
-        assert [*map(plain, node.get(*given))] == list(given.values())
+            values |= {name: str(path) for name, path in folders.items()}
+        assert [*map(plain, node.get(*values))] == list(values.values())
 
 
 def plain(value: Any) -> Any:
@@ -453,7 +454,7 @@ def convert_classes(node: Converter, class_ids: list[str | None]) -> FloatArray:
 
 
 def under(*rules: HullRule) -> FloatArray:
-    """Give what the same ship becomes under each rule."""
+    """Return the box of the same ship under each rule."""
     return np.vstack([axis_aligned(fleet(1), rule) for rule in rules])
 
 
@@ -497,8 +498,8 @@ def test_the_rule_is_that_of_the_best_hypothesis(node: Converter) -> None:
     message = Detection2DArray()
     for scores in ((0.9, 0.1), (0.1, 0.9), (0.5, 0.5), (float('nan'), 0.1)):
         two = [
-            detection(fleet(1)[0], each, score).results[0]
-            for each, score in zip(('tug', 'ship'), scores, strict=True)
+            detection(fleet(1)[0], class_id, score).results[0]
+            for class_id, score in zip(('tug', 'ship'), scores, strict=True)
         ]
         ship = detection(fleet(1)[0], class_id=None)
         ship.results = two
@@ -575,7 +576,7 @@ def test_locked_parameters_cannot_be_changed_by_anyone(start: Callable[..., Conv
     )
 
 
-def test_the_lock_itself_is_only_for_the_start(node: Converter) -> None:
+def test_the_lock_can_only_be_set_at_start(node: Converter) -> None:
     assert not node.set_atomically({'lock_parameters': True}).successful
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter files are checked and used without ROS, as the nodes check and use them."""
+"""Parameters and parameter files, checked and used without ROS as the nodes do it."""
 
 import math
 import subprocess
@@ -8,10 +8,19 @@ from pathlib import Path
 
 import pytest
 
+from obbhbb_ros.downlink.budget import BudgetSettings
+from obbhbb_ros.downlink.budget import LinkSettings
+from obbhbb_ros.downlink.chips import CodecSettings
+from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.limits import Range
+from obbhbb_ros.overlay.drawing import Style
 from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
+from obbhbb_ros.settings.downlink import DOWNLINK
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
+from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.parameter_file import read_values
+from obbhbb_ros.settings.parameters import ParameterGroup
 
 CONFIG = Path(__file__).parents[2] / 'config'
 NESTED = """
@@ -71,7 +80,7 @@ def test_sections_of_other_nodes_are_ignored(written) -> None:
         ('/a/b', False),
     ],
 )
-def test_a_section_applies_to_the_nodes_that_its_name_fits(written, section, applies) -> None:
+def test_a_section_applies_to_the_nodes_that_its_name_matches(written, section, applies) -> None:
     others = '/**: {ros__parameters: {s: 1.5}}'
     path = written(f'{others}\n{section}: {{ros__parameters: {{q: 5.0}}}}')
     assert ('q' in read_values(path, '/a/b/obb_to_hbb')) == applies
@@ -105,7 +114,7 @@ def test_sections_may_be_nested_by_namespace(written, text, applies) -> None:
     ],
     ids=['alias', 'deep'],
 )
-def test_what_ros_does_not_take_either_is_refused(written, text, reason) -> None:
+def test_what_ros_refuses_is_refused(written, text, reason) -> None:
     with pytest.raises(ValueError, match=f'params.*{reason}'):
         read_values(written(text), '/obb_to_hbb')
 
@@ -131,9 +140,9 @@ def test_the_node_may_be_named_without_the_first_slash(written) -> None:
         ('10', 10),
     ],
 )
-def test_numbers_are_those_of_ros(written, text, value) -> None:
-    found = read_values(written(f'/**: {{ros__parameters: {{q: {text}}}}}'), '/any')['q']
-    assert (found, type(found)) == (value, type(value))
+def test_numbers_are_read_as_ros_reads_them(written, text, value) -> None:
+    q = read_values(written(f'/**: {{ros__parameters: {{q: {text}}}}}'), '/any')['q']
+    assert (q, type(q)) == (value, type(value))
 
 
 @pytest.mark.parametrize(
@@ -149,7 +158,7 @@ def test_numbers_are_those_of_ros(written, text, value) -> None:
         ('/**:\n  ros__parameters: [q]', 'must be names and values'),
     ],
 )
-def test_what_is_no_parameter_file_is_an_error_that_names_it(written, text, reason) -> None:
+def test_a_file_without_parameters_is_an_error_that_names_the_file(written, text, reason) -> None:
     path = written(text)
     with pytest.raises(ValueError, match=reason) as error:
         read_values(path, '/obb_to_hbb')
@@ -175,9 +184,49 @@ def test_what_is_no_parameter_file_is_an_error_that_names_it(written, text, reas
         ({'class_ids': [str(i) for i in range(257)]}, 'the maximum is 256'),
     ],
 )
-def test_values_that_cannot_be_used_are_refused_by_name(values, reason) -> None:
+def test_unusable_values_are_refused_by_name(values, reason) -> None:
     with pytest.raises(ValueError, match=reason):
         OBB_TO_HBB.settings(values)
+
+
+FIELDS = [
+    (table, settings, prefix, row.name.removeprefix(prefix), row.limits)
+    for table, settings, prefix in (
+        (OBB_TO_HBB, CropSettings, 'crop.'),
+        (CHIP_EXTRACTOR, CodecSettings, ''),
+        (CHIP_EXTRACTOR, BudgetSettings, 'budget.'),
+        (DOWNLINK, LinkSettings, 'budget.'),
+        (OVERLAY, Style, ''),
+    )
+    for row in ParameterGroup(settings, prefix).rows
+    if isinstance(row.limits, Range)
+]
+
+
+@pytest.mark.parametrize(
+    ('table', 'settings', 'prefix', 'name', 'limits'),
+    FIELDS,
+    ids=[f'{settings.__name__}.{name}' for _, settings, _, name, _ in FIELDS],
+)
+def test_a_node_and_its_library_refuse_the_same_values(
+    table, settings, prefix, name, limits
+) -> None:
+    kind = type(getattr(settings(), name))
+    for value in map(kind, (limits.low - 1, limits.high + 1)):
+        with pytest.raises(ValueError, match='must be') as of_library:
+            settings(**{name: value})
+        with pytest.raises(ValueError, match='must be') as of_node:
+            table.settings({prefix + name: value})
+        assert str(of_node.value) == f'{prefix}{of_library.value}'
+    assert getattr(settings(**{name: limits.high}), name) == limits.high
+
+
+def test_a_lower_end_can_be_excluded() -> None:
+    limits = Range(0.0, 2.0, above=True)
+    limits.check('f', 1e-9)
+    for value in (0.0, -1.0, 2.1, math.nan):
+        with pytest.raises(ValueError, match=r'^f must be above 0 and at most 2, not'):
+            limits.check('f', value)
 
 
 def settings_of_class(**values):
@@ -207,6 +256,12 @@ def test_a_misspelt_class_parameter_makes_no_class() -> None:
 def test_settings_of_the_chip_node_are_checked_together() -> None:
     with pytest.raises(ValueError, match='lossless'):
         CHIP_EXTRACTOR.settings({'codec': 'jpeg', 'lossless': True})
+
+
+def test_the_settings_of_the_downlink_need_no_shapely() -> None:
+    code = 'import sys, obbhbb_ros.settings.downlink; print("shapely" in sys.modules)'
+    printed = subprocess.run([sys.executable, '-c', code], check=True, capture_output=True)
+    assert printed.stdout.strip() == b'False'
 
 
 def test_no_ros_is_imported() -> None:
