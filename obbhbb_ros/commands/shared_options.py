@@ -21,9 +21,9 @@ from obbhbb_ros.study.ships import Ships
 from obbhbb_ros.study.ships import read_ships
 
 PARAMETERS = {
-    'q': 'shape exponent, 1 to inf',
-    'f': f'fullness, above 0, up to {converter.F_RANGE.high:g}',
-    's': f'shrink factor, above 0, up to {converter.S_RANGE.high:g}',
+    'q': f'shape exponent, {converter.Q_RANGE}',
+    'f': f'fullness, {converter.F_RANGE}',
+    's': f'shrink factor, {converter.S_RANGE}',
 }
 BOW_MEANINGS = {
     'labels': 'as the labels say (head points of hrsc)',

@@ -59,7 +59,14 @@ COMMON_WITH_INPUT = (*COMMON, INPUT_TIMEOUT)
 
 
 def folder_of(values: Mapping[str, Any], name: str) -> str:
-    """Return the folder that a parameter names, absolute; empty if it names none."""
+    """
+    Return the folder that a parameter names, an absolute path; empty if it names none.
+
+    Raises
+    ------
+    ValueError
+        If the path is not absolute; the message begins with the name of the parameter.
+    """
     path = os.path.expanduser(values[name].strip())
     if path and not os.path.isabs(path):
         raise ValueError(f'{name} must be an absolute path, not {path}')
