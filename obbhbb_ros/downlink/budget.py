@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The budget of a link: which chips of a frame are sent, the most valuable first.
+The budget of a link: which chips of a frame are sent.
 
 All times come from the caller, in seconds of a monotonic clock.
 """
@@ -92,7 +92,7 @@ class TokenBucket:
         was_unlimited = not self._rate
         self._fill(now)
         self._rate, self.burst = settings.bytes_per_second, settings.bucket_size
-        # Without a limit nothing was counted, so the link may be fully used.
+        # Without a limit nothing was counted, so the link may be in full use.
         self._tokens = 0.0 if was_unlimited else min(self._tokens, self.burst)
 
     def available(self, now: float) -> float:
@@ -101,14 +101,14 @@ class TokenBucket:
         return self._tokens if self._rate else float('inf')
 
     def spend(self, count: int, now: float) -> None:
-        """Subtract bytes that are sent now; ValueError if they exceed `available`."""
+        """Spend bytes that are sent now; ValueError if they exceed `available`."""
         if count > self.available(now):
             raise ValueError(f'{count} bytes exceed the {self._tokens:.0f} available')
         if self._rate:
             self._tokens -= count
 
     def give_back(self, count: int) -> None:
-        """Add bytes that were spent and not sent."""
+        """Add bytes that were spent but not sent."""
         self._tokens = min(self.burst, self._tokens + count)
 
     def _fill(self, now: float) -> None:
@@ -119,11 +119,11 @@ class TokenBucket:
 
 class FrameBudget:
     """
-    What the link lets through of the chips of one frame.
+    The share of the link that the chips of one frame get.
 
-    The first chip that the link cannot carry yet ends the frame: less valuable chips are not sent
-    in its place, so that the link is free for the most valuable chip of the next frame. Only a
-    chip that could never be sent, larger than the burst or than a frame may be, is skipped.
+    The first chip that the link cannot carry yet ends the frame: no less valuable chip is sent
+    instead, so that the link is free for the most valuable chip of the next frame. A chip is
+    skipped only if it can never be sent: if it is larger than the burst, or than a frame may be.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ class FrameBudget:
 
     def admit(self, chip: EncodedChip) -> bytes | Dropped:
         """
-        Subtract a chip from the budget.
+        Spend the budget for a chip, if it fits.
 
         Parameters
         ----------
@@ -196,7 +196,7 @@ class FrameBudget:
 
 
 def _encode_to_fit(chip: EncodedChip, room: float, codec: CodecSettings, min_quality: int) -> bytes:
-    """If a chip is too large, encode at the lowest quality, and halfway to it where that fits."""
+    """Return the file of a chip; if too large, one of the lowest quality, or halfway if it fits."""
     if len(chip.data) <= room or codec.exact or not 0 < min_quality < codec.quality:
         return chip.data
     lowest = encode(chip.pixels, replace(codec, quality=min_quality))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Encoded chips from an image and a crop plan.
+Chips: regions cut out of an image and encoded as files.
 
 The image is never copied as a whole, only the pixels of each chip. Encoding requires Pillow, the
 extra `chips`.
@@ -172,10 +172,10 @@ def pixel_format(encoding: str, codec: str) -> PixelFormat:
 
 def view_of(image: WireImage) -> NDArray[Any]:
     """
-    View the pixels of an image without copying them, shape (height, width, channels).
+    View the pixels of an image without a copy, shape (height, width, channels).
 
-    Bytes and channels keep the order of the image. Raises ChipError if its size, step and data
-    contradict each other.
+    Bytes and channels keep the order of the image. Raises ChipError if its size, step and data do
+    not match.
     """
     layout = PIXEL_FORMATS[image.encoding]
     size = layout.depth // 8

@@ -61,25 +61,25 @@ from obbhbb_ros.wire.stamp import stamp_text
 
 Item = TypeVar('Item')
 
-_REMEDIES = {
-    Unpaired.EXPIRED: 'no image of its stamp came within cache.max_age',
-    Unpaired.CROWDED_OUT: 'more than cache.regions wait for their images',
-    Unpaired.DUPLICATE: 'another of the same stamp came before',
+_EXPLANATIONS = {
+    Unpaired.EXPIRED: 'no image with its stamp arrived within cache.max_age',
+    Unpaired.CROWDED_OUT: 'more than cache.regions plans wait for their images',
+    Unpaired.DUPLICATE: 'another message with the same stamp came before',
     Unpaired.ZERO_STAMP: 'its stamp is zero',
 }
 _LOST_FOR_GOOD = {
-    Dropped.OUTSIDE.value: 'they lie outside the image; is it the one that the plan is for?',
-    Dropped.LARGER_THAN_BURST.value: 'each is larger than budget.burst, so no pause is enough',
+    Dropped.OUTSIDE.value: 'they lie outside the image; was the plan made for another?',
+    Dropped.LARGER_THAN_BURST.value: 'they exceed budget.burst, so no pause is long enough',
 }
 _MISTAKES = (Unpaired.DUPLICATE, Unpaired.ZERO_STAMP)
 
 
 @dataclass(frozen=True)
 class PlannedFrame:
-    """A crop plan, and its place in the books of the spool if there is one."""
+    """A crop plan, and the ticket of its chips if there is a spool."""
 
     plan: WirePlan
-    frame: FrameTicket | None
+    ticket: FrameTicket | None
 
     def __len__(self) -> int:
         """Count the regions."""
@@ -234,8 +234,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._drop_unreadable(data, self._regions_in, error)
             return
         self._monitor.add('chips_planned', len(plan))
-        frame = self._spool.plan(len(plan)) if self._spool is not None and len(plan) else None
-        self._pair(self._joiner.add_plan, plan.stamp, PlannedFrame(plan, frame))
+        ticket = self._spool.plan(len(plan)) if self._spool is not None and len(plan) else None
+        self._pair(self._joiner.add_plan, plan.stamp, PlannedFrame(plan, ticket))
 
     def _pair(
         self,
@@ -262,14 +262,14 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._monitor.add(f'crop_plans_dropped.{reason.value}')
         self._drop(f'crop_plan_{reason.value}', len(planned))
         self._store(planned, [], {f'crop_plan_{reason.value}': len(planned)})
-        if reason in _MISTAKES or (len(planned) and reason in _REMEDIES):
+        if reason in _MISTAKES or (len(planned) and reason in _EXPLANATIONS):
             self._warn_of_unpaired('crop_plans', reason)
 
     def _warn_of_unpaired(self, kind: str, reason: Unpaired) -> None:
         """Report a message that met no partner."""
         self._warn(
             f'{kind} {reason.value}',
-            f'dropped a message on {self._topic(kind)}: {_REMEDIES[reason]}',
+            f'dropped a message on {self._topic(kind)}: {_EXPLANATIONS[reason]}',
         )
 
     def _warn_of_jump_back(self, kind: str, latest: Stamp, stamp: Stamp) -> None:
@@ -300,7 +300,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         if not is_wanted:
             frame.close_link(Dropped.NO_SUBSCRIBER)
         try:
-            if is_wanted or planned.frame is not None:
+            if is_wanted or planned.ticket is not None:
                 self._run(frame, image, planned, is_wanted, settings)
         except ChipError as error:
             frame.refuse(Dropped.IMAGE_REFUSED)
@@ -332,7 +332,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         link, record = None, None
         if is_wanted:
             link = self._link(image, plan, camera, settings)
-        if planned.frame is not None:
+        if planned.ticket is not None:
             sources = self._sources_of(plan)
             record = recorder_of(image, plan, sources, codec.codec, camera.k.tolist())
         frame.run(cutter.cut, link, record)
@@ -360,7 +360,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._warn(
                 'no sources',
                 f'no sources on {self._sources_in.topic_name} for the plan at stamp '
-                f'{stamp_text(plan.stamp)}: scores are taken as values',
+                f'{stamp_text(plan.stamp)}: scores are used as values',
             )
         return []
 
@@ -379,10 +379,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self, planned: PlannedFrame, records: Sequence[NewChip], refused: Mapping[str, int]
     ) -> None:
         """Store the chips of a frame, if there is a spool."""
-        if self._spool is None or planned.frame is None:
+        if self._spool is None or planned.ticket is None:
             return
         max_bytes = self._parameters_in_force.settings.spool_max_bytes
-        is_stored = self._spool.store(planned.frame, records, refused, max_bytes)
+        is_stored = self._spool.store(planned.ticket, records, refused, max_bytes)
         self._monitor.add('chips_stored' if is_stored else 'chips_not_stored', len(records))
 
     def _warn_of_failure(

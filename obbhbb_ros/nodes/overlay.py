@@ -265,7 +265,7 @@ class Overlay(ManagedNode[OverlaySettings]):
             self._warn(
                 'layers missing',
                 f'drew the image at stamp {stamp_text(frame.image.stamp)} without '
-                f'{", ".join(missing)}: none of its stamp came within max_wait',
+                f'{", ".join(missing)}: none with its stamp arrived within max_wait',
             )
 
     def _count_not_drawn(self, reason: NotDrawn) -> None:
