@@ -7,6 +7,8 @@ import sqlite3
 from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
 from typing import Any
 from typing import NamedTuple
 
@@ -59,35 +61,33 @@ def rows_around_damage(
     walk.close_gap(None)
 
 
+@dataclass
 class _Walk:
     """A walk through a damaged table: what was read, and the gap that it is in."""
 
-    def __init__(
-        self,
-        database: sqlite3.Connection,
-        table: str,
-        columns: Sequence[str],
-        on_gap: Callable[[Gap], object],
-    ) -> None:
-        self._database, self._on_gap = database, on_gap
-        key = columns[0]
-        self._up = f'SELECT {", ".join(columns)} FROM {table} WHERE {key} >= ? ORDER BY {key} '
-        self._keys_down = f'SELECT {key} FROM {table} WHERE {key} <= ? ORDER BY {key} DESC'
-        self._seen: set[int] = set()
-        self._gap: tuple[int, sqlite3.Error] | None = None
-        self.is_damaged = False
+    database: sqlite3.Connection
+    table: str
+    columns: Sequence[str]
+    on_gap: Callable[[Gap], object]
+    seen: set[int] = field(default_factory=set)
+    gap: tuple[int, sqlite3.Error] | None = None
+    is_damaged: bool = False
 
     def up_from(self, place: int) -> Iterator[tuple[Any, ...]]:
         """Read rows from a key on, past damaged places; stop where too many keys fail in a row."""
-        skipped, limit = 0, -1
+        key, skipped, limit = self.columns[0], 0, -1
+        query = (
+            f'SELECT {", ".join(self.columns)} FROM {self.table} WHERE {key} >= ? '
+            f'ORDER BY {key} LIMIT ?'
+        )
         while skipped < _MAX_SKIPPED:
             start, is_end = place, True
             try:
-                for row in self._database.execute(self._up + 'LIMIT ?', (start, limit)):
+                for row in self.database.execute(query, (start, limit)):
                     # Never backwards, whatever key the damage has given to a row.
                     place, skipped, is_end = max(place, start + 1, row[0] + 1), 0, False
-                    if row[0] >= start and row[0] not in self._seen:
-                        self._seen.add(row[0])
+                    if row[0] >= start and row[0] not in self.seen:
+                        self.seen.add(row[0])
                         self.close_gap(row[0] - 1)
                         yield row
                 if is_end or limit < 0:
@@ -96,20 +96,21 @@ class _Walk:
             except sqlite3.Error as error:
                 self.is_damaged = True
                 if limit > 0:
-                    self._gap = self._gap or (place, error)
+                    self.gap = self.gap or (place, error)
                     place, skipped = place + 1, skipped + 1
                 # One by one now: Python reads ahead, and the row before the damage was not seen.
                 limit = 1
 
     def start_of_tail(self) -> int | None:
         """Find the first unread key that can be reached from the end of the table."""
-        place, tail, skipped = 2**63 - 1, None, 0
+        key, place, tail, skipped = self.columns[0], 2**63 - 1, None, 0
+        query = f'SELECT {key} FROM {self.table} WHERE {key} <= ? ORDER BY {key} DESC'
         while skipped < _MAX_SKIPPED:
             try:
-                for (key,) in self._database.execute(self._keys_down, (place,)):
-                    if key in self._seen:
+                for (number,) in self.database.execute(query, (place,)):
+                    if number in self.seen:
                         return tail
-                    tail, place, skipped = key, min(place, key - 1), 0
+                    tail, place, skipped = number, min(place, number - 1), 0
                 return tail
             except sqlite3.Error:
                 if tail is None:
@@ -119,7 +120,7 @@ class _Walk:
 
     def close_gap(self, last: int | None) -> None:
         """Report the gap that ends with a key, if there is one."""
-        if self._gap is not None:
-            first, error = self._gap
-            self._gap = None
-            self._on_gap(Gap(first, last, error))
+        if self.gap is not None:
+            first, error = self.gap
+            self.gap = None
+            self.on_gap(Gap(first, last, error))

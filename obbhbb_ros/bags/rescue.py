@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be read of a damaged bag, as an intact one."""
+"""Rescue of damaged bags: whatever can be read of one becomes an intact bag."""
 
 from __future__ import annotations
 
@@ -50,18 +50,18 @@ from obbhbb_ros.damaged_sqlite import rows_around_damage
 _SUFFIXES = ('.mcap', '.db3')
 # Opcode, length, first and last time, size, checksum, length of the compression's name.
 _CHUNK_HEAD = struct.Struct('<BQQQQII')
-_MOST_OF_A_CHUNK = 2**26
+_MAX_CHUNK_BYTES = 2**26
 # Bytes of a chunk that are decompressed at once.
 _PIECE = 256
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
-# What a damaged table leads to.
+# What reading a damaged table may raise.
 _TABLE_ERRORS = (sqlite3.Error, UnicodeError, LookupError)
 
 Report: TypeAlias = Callable[[str], None]
 
 
 class _Topic(NamedTuple):
-    """What a storage file says of a topic."""
+    """A topic as a storage file describes it."""
 
     name: str
     msgtype: str
@@ -73,14 +73,15 @@ class _Topic(NamedTuple):
 
 def storage_files(source: Path) -> list[Path]:
     """List the storage files of a bag in their order."""
-    found = source.iterdir() if source.is_dir() else [source]
-    files = [
-        each
-        for each in found
-        if each.is_file() and any(suffix in each.suffixes for suffix in _SUFFIXES)
-    ]
+    paths = source.iterdir() if source.is_dir() else [source]
     return sorted(
-        (each for each in files if each.suffix in (*_SUFFIXES, '.zstd')),
+        (
+            path
+            for path in paths
+            if path.is_file()
+            and path.suffix in (*_SUFFIXES, '.zstd')
+            and any(suffix in path.suffixes for suffix in _SUFFIXES)
+        ),
         key=lambda path: [
             int(part) if part.isdigit() else part for part in re.split(r'(\d+)', path.name)
         ],
@@ -89,23 +90,23 @@ def storage_files(source: Path) -> list[Path]:
 
 def rescue(source: Path, target: Path, report: Report) -> int:
     """
-    Write what can be read of a bag as an intact one, without compression.
+    Write the readable messages of a bag to a new bag, without compression.
 
-    Neither metadata nor indexes are needed, nor the end of a file.
+    It needs no metadata, no index and not the end of a file.
 
     Parameters
     ----------
     source : Path
         The bag, or one of its storage files.
     target : Path
-        The bag to make.
+        The bag to write.
     report : callable
-        Takes what is lost, a line of text each.
+        Called with a line of text about every loss.
 
     Returns
     -------
     int
-        How many messages are lost, as far as that is known; else how many losses were reported.
+        Number of messages lost, if the metadata tell how many there were; else of losses reported.
 
     Raises
     ------
@@ -127,15 +128,15 @@ def rescue(source: Path, target: Path, report: Report) -> int:
         tempfile.TemporaryDirectory(dir=target.parent.parent) as folder,
         Writer(target, version=VERSION, storage_plugin=plugin) as writer,
     ):
-        known: dict[tuple[str, str, str], Connection | None] = {}
+        connections: dict[tuple[str, str, str], Connection | None] = {}
         for topic, moment, data in _messages(files, Path(folder), lose):
             key = topic.name, topic.msgtype, topic.qos
-            if key not in known:
-                known[key] = _added(writer, topic, lose)
+            if key not in connections:
+                connections[key] = _added(writer, topic, lose)
             plain = _decompressed(data)
             if plain is None:
                 lose(f'a message on {topic.name} at {moment} is damaged')
-            elif connection := known[key]:
+            elif connection := connections[key]:
                 writer.write(connection, moment, plain)
                 read += 1
     missing = _promised(source) - read
@@ -145,7 +146,7 @@ def rescue(source: Path, target: Path, report: Report) -> int:
 
 
 def _promised(source: Path) -> int:
-    """Read how many messages a bag says that it has, 0 if it does not say."""
+    """Return how many messages a bag has according to its metadata, 0 if they do not say."""
     try:
         metadata = yaml.safe_load((source / 'metadata.yaml').read_text(encoding='utf-8'))
         return int(metadata['rosbag2_bagfile_information']['message_count'])
@@ -158,7 +159,7 @@ def _messages(
 ) -> Iterator[tuple[_Topic, int, bytes]]:
     """Read the messages of storage files."""
     for path in files:
-        copy = _own_copy(path, folder, lose)
+        copy = _working_copy(path, folder, lose)
         read = _mcap_messages if copy.suffix == '.mcap' else _sqlite_messages
         yield from read(copy, lose)
 
@@ -181,22 +182,22 @@ def _added(writer: Writer, topic: _Topic, lose: Report) -> Connection | None:
                 owner=None,
             ),
         )
-    # Whatever a library says of broken bytes.
+    # Broken bytes can raise anything in a library.
     except Exception as error:
         lose(f'the topic {topic.name} is lost: {_text(error)}')
         return None
 
 
-def _own_copy(path: Path, folder: Path, lose: Report) -> Path:
-    """Copy a storage file where it may change, without compression of the file as a whole."""
+def _working_copy(path: Path, folder: Path, lose: Report) -> Path:
+    """Copy a storage file to a folder where it may change; decompress it if it is compressed."""
     copy = folder / path.name.removesuffix('.zstd')
     if path.suffix != '.zstd':
         if path.suffix == '.mcap':
             return path
-        # What SQLite had not yet moved into the file when the recorder ended.
-        for each in path.parent.glob(f'{glob.escape(path.name)}*'):
-            if each.is_file():
-                shutil.copy(each, folder / each.name)
+        # With the log that SQLite had not yet moved into the file when the recorder ended.
+        for part in path.parent.glob(f'{glob.escape(path.name)}*'):
+            if part.is_file():
+                shutil.copy(part, folder / part.name)
         return copy
     with path.open('rb') as stream, copy.open('wb') as out:
         try:
@@ -207,7 +208,7 @@ def _own_copy(path: Path, folder: Path, lose: Report) -> Path:
 
 
 def _decompressed(data: bytes) -> bytes | None:
-    """Decompress a message, if it is compressed; no message begins like that."""
+    """Decompress a message if it is compressed; None if that fails. No plain message begins so."""
     if not data.startswith(_ZSTD_MAGIC):
         return data
     try:
@@ -217,7 +218,7 @@ def _decompressed(data: bytes) -> bytes | None:
 
 
 def _mcap_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, bytes]]:
-    """Read the messages of an MCAP file as they lie there."""
+    """Read the messages of an MCAP file in the order of the file."""
     with path.open('rb') as stream:
         summary = summary_of(stream)
         schemas, channels = summary.schemas, summary.channels
@@ -230,7 +231,7 @@ def _mcap_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, byte
                 channel = channels.get(record.channel_id)
                 schema = schemas.get(channel.schema_id) if channel else None
                 if channel is None or schema is None:
-                    lose(f'{path.name}: a message at {record.log_time} is of no known topic')
+                    lose(f'{path.name}: a message at {record.log_time} is of an unknown topic')
                     continue
                 topic = _Topic(
                     channel.topic,
@@ -244,10 +245,10 @@ def _mcap_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, byte
 
 
 def summary_of(stream: BinaryIO) -> Summary:
-    """Read what the end of an MCAP file says of it, nothing if it cannot be read."""
+    """Read the summary at the end of an MCAP file; an empty one if it cannot be read."""
     try:
         summary = make_reader(stream).get_summary()
-    # Whatever broken bytes lead to.
+    # Broken bytes can raise anything.
     except Exception:
         summary = None
     stream.seek(0)
@@ -255,17 +256,17 @@ def summary_of(stream: BinaryIO) -> Summary:
 
 
 def _records(stream: BinaryIO, name: str, lose: Report) -> Iterator[Any]:
-    """Read the records of an MCAP file, those in chunks too, up to where it is possible."""
+    """Read the records of an MCAP file, also those in chunks, up to the first damaged one."""
     records = iter(StreamReader(stream, emit_chunks=True).records)
     while True:
         start = stream.tell()
         try:
             record = next(records, None)
-        # Whatever broken bytes lead to.
+        # Broken bytes can raise anything.
         except Exception as error:
             lose(f'{name}: nothing, or not all, can be read from byte {start} on: {_text(error)}')
             stream.seek(start)
-            yield from _beginning_of_chunk(stream.read(_MOST_OF_A_CHUNK))
+            yield from _beginning_of_chunk(stream.read(_MAX_CHUNK_BYTES))
             return
         if record is None:
             return
@@ -286,7 +287,7 @@ def _beginning_of_chunk(data: bytes) -> Iterator[Any]:
     *_, length = _CHUNK_HEAD.unpack_from(data)
     start = _CHUNK_HEAD.size + length
     compression = data[_CHUNK_HEAD.size : start].decode(errors='replace')
-    # Behind the size of the rest.
+    # After the eight bytes of the size.
     yield from _inner_records(unpack_chunk(compression, data[start + 8 :]))
 
 
@@ -294,7 +295,7 @@ def _inner_records(content: bytes) -> Iterator[Any]:
     """Read records up to the first that is damaged or incomplete."""
     try:
         yield from StreamReader(BytesIO(content), skip_magic=True).records
-    # The end is one, too.
+    # The end of the content raises as well.
     except Exception:
         return
 
@@ -307,7 +308,7 @@ def unpack_chunk(compression: str, data: bytes) -> bytes:
     try:
         if compression == 'lz4':
             decompressor = lz4.frame.LZ4FrameDecompressor()
-            # In pieces, as nothing comes of one that is damaged.
+            # In pieces: a damaged piece yields nothing at all.
             for start in range(0, len(data), _PIECE):
                 unpacked += decompressor.decompress(data[start : start + _PIECE])
         else:
@@ -320,7 +321,7 @@ def unpack_chunk(compression: str, data: bytes) -> bytes:
 
 
 def _text(error: Exception) -> str:
-    """Say what went wrong, also where an error says nothing."""
+    """Return the text of an error, even if it has none of its own."""
     if isinstance(error, EndOfFile):
         return 'the file ends there'
     if isinstance(error, KeyError):
@@ -331,10 +332,10 @@ def _text(error: Exception) -> str:
 def _sqlite_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, bytes]]:
     """Read the messages of an SQLite3 file in the order in which they were recorded."""
     with closing(sqlite3.connect(path)) as base:
-        # One wrong byte in a definition costs nothing but itself.
+        # A wrong byte in a definition must not cost the rest of it.
         base.text_factory = lossy_text
         try:
-            # Also opens a file that is shorter than it says.
+            # With it, SQLite reads a file that has lost its end.
             base.execute('PRAGMA writable_schema = ON')
             topics = _sqlite_topics(base, path.name, lose)
         except _TABLE_ERRORS as error:
@@ -347,7 +348,7 @@ def _sqlite_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, by
             if not (isinstance(moment, int) and moment >= 0 and isinstance(data, bytes)):
                 lose(f'{path.name}: message {number} is lost: it is damaged')
             elif topic_id not in topics:
-                lose(f'{path.name}: message {number} is lost: it is of no known topic')
+                lose(f'{path.name}: message {number} is lost: it is of an unknown topic')
             else:
                 yield topics[topic_id], moment, data
 
@@ -363,10 +364,10 @@ def _lost(gap: Gap) -> str:
 def _sqlite_topics(base: sqlite3.Connection, name: str, lose: Report) -> dict[int, _Topic]:
     """Read the topics; older versions say less of them."""
     definitions = _sqlite_definitions(base, name, lose)
-    found = {}
+    topics = {}
     for row in _rows(base, 'topics'):
         encoding, definition = definitions.get(row['type'], ('', ''))
-        found[row['id']] = _Topic(
+        topics[row['id']] = _Topic(
             row['name'],
             row['type'],
             encoding,
@@ -374,13 +375,13 @@ def _sqlite_topics(base: sqlite3.Connection, name: str, lose: Report) -> dict[in
             row.get('type_description_hash', ''),
             row.get('offered_qos_profiles', ''),
         )
-    return found
+    return topics
 
 
 def _sqlite_definitions(
     base: sqlite3.Connection, name: str, lose: Report
 ) -> dict[str, tuple[str, str]]:
-    """Read encoding and text of the types; messages can be converted without."""
+    """Read encoding and text of the types; messages can be converted without them."""
     try:
         return {
             row['topic_type']: (row['encoding'], row['encoded_message_definition'] or '')
@@ -396,5 +397,5 @@ def _rows(base: sqlite3.Connection, table: str) -> list[dict[str, Any]]:
     if not base.execute('SELECT 1 FROM sqlite_master WHERE name = ?', (table,)).fetchone():
         return []
     cursor = base.execute(f'SELECT * FROM {table}')
-    names = [each[0] for each in cursor.description]
+    names = [column[0] for column in cursor.description]
     return [dict(zip(names, row, strict=True)) for row in cursor]

@@ -17,7 +17,7 @@ from obbhbb_ros.settings.downlink import DOWNLINK
 from obbhbb_ros.settings.downlink import DownlinkSettings
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.console import SpoolConsole
-from obbhbb_ros.spool.feeder_thread import FeederThread
+from obbhbb_ros.spool.feeder import FeederThread
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.contact import read_contact
 

@@ -20,9 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from obbhbb_ros.spool.catalogue import Catalogue
-from obbhbb_ros.spool.chip_rows import CLAIMED
-from obbhbb_ros.spool.chip_rows import RELEASED
-from obbhbb_ros.spool.chip_rows import WAITING
+from obbhbb_ros.spool.chip_rows import ChipState
 
 # Chips to evict, and free pages to give back to the disk, in one transaction; a lowered limit is
 # reached in several.
@@ -146,9 +144,9 @@ class SpoolAccess:
             }
             (in_work,) = rows.execute('SELECT ifnull(sum(chips), 0) FROM frames').fetchone()
             return Status(
-                waiting=totals[WAITING][0] + totals[CLAIMED][0],
-                waiting_bytes=totals[WAITING][1] + totals[CLAIMED][1],
-                in_outbox=totals[RELEASED][0],
+                waiting=totals[ChipState.WAITING][0] + totals[ChipState.CLAIMED][0],
+                waiting_bytes=totals[ChipState.WAITING][1] + totals[ChipState.CLAIMED][1],
+                in_outbox=totals[ChipState.RELEASED][0],
                 in_work=in_work,
                 file_bytes=_pragma(rows, 'page_count') * _pragma(rows, 'page_size'),
                 set_aside=self._catalogue.set_aside,
@@ -191,7 +189,7 @@ def evict(rows: sqlite3.Cursor, max_bytes: float) -> bool:
         rows.execute(
             'DELETE FROM chips WHERE seq = (SELECT seq FROM chips WHERE state = ?1 AND value = '
             '(SELECT min(value) FROM chips WHERE state = ?1) ORDER BY seq LIMIT 1)',
-            (WAITING,),
+            (ChipState.WAITING,),
         )
         is_left = bool(rows.rowcount)
         evicted += rows.rowcount

@@ -192,19 +192,17 @@ class Catalogue:
         # Whoever uses a text checks it for damage.
         database.text_factory = lossy_text
         try:
-            rows = database.cursor()
             # Small pages: a page is used again only when all of it is free.
-            rows.execute('PRAGMA page_size = 2048')
-            rows.execute('PRAGMA auto_vacuum = INCREMENTAL')
-            rows.execute('PRAGMA journal_mode = WAL')
+            database.execute('PRAGMA page_size = 2048')
+            database.execute('PRAGMA auto_vacuum = INCREMENTAL')
+            database.execute('PRAGMA journal_mode = WAL')
             # When a transaction ends it is on disk, not only handed to the system.
-            rows.execute('PRAGMA synchronous = FULL')
-            (version,) = rows.execute('PRAGMA user_version').fetchone()
+            database.execute('PRAGMA synchronous = FULL')
+            (version,) = database.execute('PRAGMA user_version').fetchone()
             if version == 0:
-                with _transaction(database, write=True) as rows:
-                    for statement in _statements(self._schema):
-                        rows.execute(statement)
-                    rows.execute(f'PRAGMA user_version = {self._version}')
+                database.executescript(
+                    f'BEGIN IMMEDIATE; {self._schema} PRAGMA user_version = {self._version}; COMMIT'
+                )
                 sync_folder(self._folder)
             elif version != self._version:
                 raise sqlite3.DatabaseError(f'its version is {version}, not {self._version}')
@@ -285,16 +283,6 @@ def _transaction(database: sqlite3.Connection, write: bool) -> Iterator[sqlite3.
         raise
     finally:
         rows.close()
-
-
-def _statements(script: str) -> Iterator[str]:
-    """Split a script into statements; `executescript` would end the transaction."""
-    statement = ''
-    for line in script.splitlines(keepends=True):
-        statement += line
-        if sqlite3.complete_statement(statement):
-            yield statement
-            statement = ''
 
 
 def _locked(path: Path) -> int | None:

@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 from typing import NamedTuple
 
@@ -19,8 +20,13 @@ from obbhbb_ros.wire.stamp import Stamp
 # As `NewChip.row` makes them.
 _ID = re.compile(r'-?[0-9]+_[0-9]{9,10}_[0-9a-f]{6}_[0-9]+')
 
-WAITING, CLAIMED, RELEASED = 0, 1, 2
-"""States of a chip in the catalogue: in the spool, on its way to the outbox, in the outbox."""
+
+class ChipState(IntEnum):
+    """Where a chip of the catalogue is: in the spool, on its way to the outbox, or in it."""
+
+    WAITING = 0
+    CLAIMED = 1
+    RELEASED = 2
 
 
 @dataclass(frozen=True)
@@ -72,7 +78,7 @@ class NewChip:
         stored = StoredChip(
             seq=seq,
             id=f'{seconds}_{nanoseconds:09d}_{tag}_{seq}',
-            state=WAITING,
+            state=ChipState.WAITING,
             value=self.value,
             class_id=self.class_id,
             bytes=len(self.data),

@@ -14,8 +14,7 @@ from typing import Any
 from obbhbb_ros.spool.books import SpoolAccess
 from obbhbb_ros.spool.books import book
 from obbhbb_ros.spool.chip_rows import COLUMNS
-from obbhbb_ros.spool.chip_rows import RELEASED
-from obbhbb_ros.spool.chip_rows import WAITING
+from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
 
 # Chips to change in one transaction, so that writers do not wait long.
@@ -116,7 +115,7 @@ class SpoolConsole(SpoolAccess):
     def forget_outbox(self) -> int:
         """Count the chips in the outbox as evicted, and accept any outbox; return how many."""
         with self._catalogue.transaction(write=True) as rows:
-            rows.execute('DELETE FROM chips WHERE state = ?', (RELEASED,))
+            rows.execute('DELETE FROM chips WHERE state = ?', (ChipState.RELEASED,))
             lost = rows.rowcount
             book(rows, 'evicted.outbox_lost', lost)
             rows.execute("DELETE FROM notes WHERE name = 'outbox'")
@@ -141,7 +140,7 @@ class SpoolConsole(SpoolAccess):
                     for (seq,) in rows.execute(
                         f'SELECT seq FROM chips WHERE state = ? AND seq > ? AND {where} '
                         'ORDER BY seq LIMIT ?',
-                        (WAITING, seqs[-1], *conditions, _PIECE),
+                        (ChipState.WAITING, seqs[-1], *conditions, _PIECE),
                     )
                 ]
                 rows.executemany(change, [(*values, seq) for seq in seqs])

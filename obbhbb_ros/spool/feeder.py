@@ -8,12 +8,15 @@ before the next begins. After any interruption the outbox tells which claimed ch
 
 from __future__ import annotations
 
+import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import field
 from enum import Enum
 from math import inf
+from pathlib import Path
 from typing import NamedTuple
 
 from obbhbb_ros.downlink.budget import LinkSettings
@@ -36,6 +39,8 @@ _BATCH = 16
 _IDLE, _RETRY, _LOOK = 0.1, 1.0, 1.0
 # Looks into the outbox may take this share of the time.
 _LOOK_SHARE = 0.05
+# Seconds that a thread has for its last step; a disk that does not answer keeps it longer.
+_LAST_STEP = 2.0
 
 
 @dataclass(frozen=True)
@@ -76,13 +81,6 @@ class ReleaseBatch(NamedTuple):
     left: list[str]
 
 
-class _Orders(NamedTuple):
-    """What another thread asks for."""
-
-    settings: ReleaseSettings
-    is_contact: bool
-
-
 class OutboxFeeder:
     """
     Moves chips from a spool to an outbox, the most valuable first, within the budget.
@@ -118,11 +116,11 @@ class OutboxFeeder:
         on_trouble: Callable[[str], object],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.stalled_by = ''
-        self.available = 0.0
+        self.stalled_by, self.available = '', 0.0
         self._spool, self._outbox = spool, outbox
         self._on_trouble, self._clock = on_trouble, clock
-        self._orders = _Orders(settings, is_contact=False)
+        # One attribute, so that another thread sets both at once.
+        self._orders = (settings, False)
         self._budget = settings.budget
         self._bucket = TokenBucket(settings.budget, clock())
         self._phase = Phase.RECOVER
@@ -131,9 +129,14 @@ class OutboxFeeder:
         self._look_at = 0.0
 
     @property
+    def settings(self) -> ReleaseSettings:
+        """How chips are released."""
+        return self._orders[0]
+
+    @property
     def is_contact(self) -> bool:
         """Whether chips may be released."""
-        return self._orders.is_contact
+        return self._orders[1]
 
     def steer(self, settings: ReleaseSettings, is_contact: bool) -> None:
         """
@@ -141,7 +144,7 @@ class OutboxFeeder:
 
         Any thread may call it at any time.
         """
-        self._orders = _Orders(settings, is_contact)
+        self._orders = (settings, is_contact)
 
     def step(self) -> float:
         """
@@ -160,23 +163,18 @@ class OutboxFeeder:
             self._record()
             self._look()
             pause = self._release()
-        except OSError as error:
-            return self._fail(str(error))
-        # Nobody is there to start this thread again.
+        # An error must not end the thread: nothing would start it again.
         except Exception as error:
-            return self._fail(f'{type(error).__name__}: {error}')
+            name = '' if isinstance(error, OSError) else f'{type(error).__name__}: '
+            self.stalled_by = f'{name}{error}'
+            self._on_trouble(self.stalled_by)
+            return _RETRY
         self._phase = Phase.RUN
         return pause
 
     def close(self) -> None:
         """Close the spool."""
         self._spool.close()
-
-    def _fail(self, text: str) -> float:
-        """Report why a step failed; return how long to wait."""
-        self.stalled_by = text
-        self._on_trouble(text)
-        return _RETRY
 
     def _recover(self) -> None:
         """Find out which claimed chips have got into the outbox."""
@@ -208,13 +206,12 @@ class OutboxFeeder:
 
     def _record(self) -> None:
         """Write down what became of the chips of a batch."""
-        put, left = self._batch
-        is_by_removal = self._orders.settings.removal
-        if put and is_by_removal and self._is_replaced():
+        (put, left), removal = self._batch, self.settings.removal
+        if put and removal and self._is_replaced():
             # They are in another folder; what is in the outbox is looked up when it is back.
             put.clear()
             raise SpoolError(f'{self._outbox.folder} was replaced; is it mounted?')
-        self._spool.released(put, is_delivered=not is_by_removal)
+        self._spool.released(put, is_delivered=not removal)
         put.clear()
         self._spool.unclaim(left)
         left.clear()
@@ -226,7 +223,7 @@ class OutboxFeeder:
 
     def _look(self) -> None:
         """Look into the outbox now and then: for chips that are gone, and for room."""
-        settings, now = self._orders.settings, self._clock()
+        settings, now = self.settings, self._clock()
         if now < self._look_at:
             return
         # A chip that was to be removed is still to be, whatever the settings are now.
@@ -271,7 +268,7 @@ class OutboxFeeder:
         if description is None:
             self._spool.evict_damaged(chip.id)
             self._batch.left.remove(chip.id)
-            self._on_trouble(f'{chip.id} is damaged in the spool and was set aside')
+            self._on_trouble(f'{chip.id} is damaged in the spool and was evicted')
             return True
         size = len(data) + len(json_bytes(description))
         cost = size + settings.budget.overhead
@@ -298,13 +295,12 @@ class OutboxFeeder:
             self.stalled_by = Stall.NOTHING_WAITS.value
             return _IDLE
         if claim.stall is Stall.ALL_TOO_LARGE:
-            limits = {'budget.burst': self._bucket.burst, 'outbox.max_bytes': max_room}
-            limit = min(limits, key=lambda name: limits[name])
+            limit = 'budget.burst' if self._bucket.burst <= max_room else 'outbox.max_bytes'
             self._report_stall(f'all chips that wait are larger than {limit}')
             # To find that out, all of them have to be read.
             return _RETRY
         if claim.missing > room:
-            max_bytes = self._orders.settings.max_bytes
+            max_bytes = self.settings.max_bytes
             self._report_stall(f'outbox is full, outbox.max_bytes is {max_bytes:.0f}')
             return _IDLE
         self.stalled_by = 'link budget'
@@ -319,7 +315,7 @@ class OutboxFeeder:
 
     def _refresh(self) -> ReleaseSettings:
         """Bring budget and available bytes up to date; return the settings in force."""
-        settings, now = self._orders.settings, self._clock()
+        settings, now = self.settings, self._clock()
         if settings.budget != self._budget:
             self._bucket.change(settings.budget, now)
             self._budget = settings.budget
@@ -329,3 +325,59 @@ class OutboxFeeder:
     def _room_in_outbox(self, settings: ReleaseSettings) -> float:
         """Return how many more bytes the outbox takes."""
         return settings.max_bytes - self._contents.bytes if settings.max_bytes else inf
+
+
+class FeederThread:
+    """
+    Releases chips in a thread of its own, which starts at once and without contact.
+
+    Parameters
+    ----------
+    spool : Path
+        Folder of the spool.
+    outbox : Path
+        Folder of the outbox.
+    settings : ReleaseSettings
+        How chips are released.
+
+    Attributes
+    ----------
+    feeder : OutboxFeeder
+        What it does, to be read only.
+    """
+
+    def __init__(self, spool: Path, outbox: Path, settings: ReleaseSettings) -> None:
+        # The last ones, if they are not taken.
+        self._troubles: deque[str] = deque(maxlen=100)
+        self.feeder = OutboxFeeder(
+            SpoolReleaser(spool, self._troubles.append),
+            Outbox(outbox),
+            settings,
+            self._troubles.append,
+        )
+        self._wake, self._is_stopping = threading.Event(), False
+        # The process does not wait for it to end: every step may be interrupted.
+        self._thread = threading.Thread(target=self._work, name='release', daemon=True)
+        self._thread.start()
+
+    def steer(self, settings: ReleaseSettings, is_contact: bool) -> None:
+        """Set how chips are released, and whether they may be; takes effect at once."""
+        self.feeder.steer(settings, is_contact)
+        self._wake.set()
+
+    def take_troubles(self) -> list[str]:
+        """Return what an operator should know since the last call."""
+        return [self._troubles.popleft() for _ in range(len(self._troubles))]
+
+    def stop(self) -> None:
+        """End the thread after its step, without waiting for a disk that does not answer."""
+        self._is_stopping = True
+        self.steer(self.feeder.settings, is_contact=False)
+        self._thread.join(_LAST_STEP)
+
+    def _work(self) -> None:
+        """Release chips until told to stop."""
+        while not self._is_stopping:
+            self._wake.wait(self.feeder.step())
+            self._wake.clear()
+        self.feeder.close()

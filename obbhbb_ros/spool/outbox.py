@@ -23,10 +23,10 @@ from obbhbb_ros.files import replacing
 from obbhbb_ros.files import sync_folder
 
 JSON_SUFFIX = '.json'
-# Names of unfinished files begin with it.
+# Prefix of hidden files, such as unfinished ones.
 _HIDDEN = '.'
 _TOKEN = '.outbox'
-# As `replacing` names them.
+# Unfinished files, as `replacing` names them.
 _UNFINISHED = re.compile(r'\.[0-9a-f]{8}\.\w+')
 
 
@@ -40,7 +40,7 @@ class Contents:
     complete : set of str
         Ids of the chips with JSON.
     partial : set of str
-        Ids of files of which the other one is not there.
+        Ids of which only one of the two files is there.
     bytes : int
         Bytes of all files.
     """
@@ -50,7 +50,7 @@ class Contents:
     bytes: int = 0
 
     def __contains__(self, chip_id: str) -> bool:
-        """Return whether there is any file of a chip."""
+        """Return whether any file of a chip is there."""
         return chip_id in self.complete or chip_id in self.partial
 
 
@@ -61,7 +61,7 @@ class Outbox:
     Parameters
     ----------
     folder : Path
-        Where it is; `token` makes it if it is missing.
+        The folder; `token` creates it if it is missing.
 
     Examples
     --------
@@ -89,14 +89,14 @@ class Outbox:
         """
         folder = self.folder / str(level)
         if not folder.exists():
-            # Not made here: what has vanished may have been unmounted.
+            # The outbox itself is not created here: if it is gone, it may be unmounted.
             folder.mkdir(exist_ok=True)
             sync_folder(self.folder)
         chip, described = folder / f'{chip_id}.{suffix}', folder / f'{chip_id}{JSON_SUFFIX}'
         try:
             with replacing(chip) as partial:
                 partial.write_bytes(data)
-            # The name of the chip must not come to the disk after that of its JSON.
+            # The name of the chip must be on disk before that of its JSON.
             sync_folder(folder)
             with replacing(described) as partial:
                 partial.write_bytes(json_bytes(description))
@@ -111,8 +111,8 @@ class Outbox:
         return (self.folder / str(level) / f'{chip_id}{JSON_SUFFIX}').exists()
 
     def contents(self) -> Contents:
-        """List what is there; OSError if that cannot be known."""
-        found, suffixes = Contents(), dict[str, set[str]]()
+        """List what is in the outbox; OSError if it cannot be read."""
+        contents, suffixes = Contents(), dict[str, set[str]]()
         for folder in self._levels():
             for entry in os.scandir(folder):
                 if entry.name.startswith(_HIDDEN):
@@ -120,26 +120,26 @@ class Outbox:
                 stem, suffix = os.path.splitext(entry.name)
                 suffixes.setdefault(stem, set()).add(suffix)
                 try:
-                    found.bytes += entry.stat().st_size
+                    contents.bytes += entry.stat().st_size
                 except FileNotFoundError:
-                    # The bus has taken it just now.
+                    # The bus has just taken it.
                     suffixes[stem].discard(suffix)
         for stem, ends in suffixes.items():
             if JSON_SUFFIX in ends and len(ends) > 1:
-                found.complete.add(stem)
+                contents.complete.add(stem)
             elif ends:
-                found.partial.add(stem)
-        return found
+                contents.partial.add(stem)
+        return contents
 
     def remove_unfinished(self, ids: Collection[str]) -> None:
-        """Remove files without a final name, and those of some chips that have no JSON."""
+        """Remove files without a final name, and the files of some chips."""
         for folder in self._levels():
             for path in list(folder.iterdir()):
                 if _UNFINISHED.fullmatch(path.name) or path.stem in ids:
                     path.unlink(missing_ok=True)
 
     def token(self) -> str:
-        """Return what tells this outbox from all others, such as an empty mount point."""
+        """Return an identifier of this outbox, which an empty mount point does not have."""
         path = self.folder / _TOKEN
         if not path.exists():
             with replacing(path) as partial:
@@ -153,7 +153,7 @@ class Outbox:
 
 
 def json_bytes(description: dict[str, Any]) -> bytes:
-    """Write the JSON file of a chip."""
+    """Return the content of the JSON file of a chip."""
     return json.dumps(description, ensure_ascii=False).encode(errors='replace')
 
 

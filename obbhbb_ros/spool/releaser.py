@@ -14,10 +14,8 @@ from obbhbb_ros.spool.books import SpoolAccess
 from obbhbb_ros.spool.books import book
 from obbhbb_ros.spool.books import deliver
 from obbhbb_ros.spool.catalogue import SpoolError
-from obbhbb_ros.spool.chip_rows import CLAIMED
 from obbhbb_ros.spool.chip_rows import COLUMNS
-from obbhbb_ros.spool.chip_rows import RELEASED
-from obbhbb_ros.spool.chip_rows import WAITING
+from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
 
 # Maximum bytes of id and value in a JSON file.
@@ -92,12 +90,12 @@ class SpoolReleaser(SpoolAccess):
             claim = _next_chips(rows, count, room, max_cost, overhead)
             rows.executemany(
                 'UPDATE chips SET state = ? WHERE seq = ?',
-                [(CLAIMED, chip.seq) for chip, _ in claim.chips],
+                [(ChipState.CLAIMED, chip.seq) for chip, _ in claim.chips],
             )
             if claim.chips or claim.stall:
                 return claim
             (waiting,) = rows.execute(
-                'SELECT chips FROM totals WHERE state = ?', (WAITING,)
+                'SELECT chips FROM totals WHERE state = ?', (ChipState.WAITING,)
             ).fetchone()
             return Claim([], Stall.ALL_TOO_LARGE if waiting else Stall.NOTHING_WAITS)
 
@@ -107,7 +105,7 @@ class SpoolReleaser(SpoolAccess):
             with self._catalogue.transaction(write=True) as rows:
                 rows.executemany(
                     'UPDATE chips SET state = ? WHERE id = ? AND state = ?',
-                    [(WAITING, chip_id, CLAIMED) for chip_id in ids],
+                    [(ChipState.WAITING, chip_id, ChipState.CLAIMED) for chip_id in ids],
                 )
 
     def released(self, ids: Sequence[str], is_delivered: bool) -> None:
@@ -117,7 +115,7 @@ class SpoolReleaser(SpoolAccess):
                 # The outbox has the file now.
                 rows.executemany(
                     'UPDATE chips SET state = ?, data = NULL WHERE id = ? AND state = ?',
-                    [(RELEASED, chip_id, CLAIMED) for chip_id in ids],
+                    [(ChipState.RELEASED, chip_id, ChipState.CLAIMED) for chip_id in ids],
                 )
                 book(rows, 'released', rows.rowcount)
                 if is_delivered:
@@ -137,11 +135,11 @@ class SpoolReleaser(SpoolAccess):
 
     def claimed_ids(self) -> list[str]:
         """List the chips that are claimed."""
-        return self._ids(CLAIMED)
+        return self._ids(ChipState.CLAIMED)
 
     def released_ids(self) -> list[str]:
         """List the chips that are in the outbox and not delivered yet."""
-        return self._ids(RELEASED)
+        return self._ids(ChipState.RELEASED)
 
     def outbox(self) -> str:
         """Return the token of the outbox that chips are released into; empty before the first."""
@@ -179,7 +177,7 @@ def _next_chips(
     for cost, *fields in rows.execute(
         f'SELECT {_COST} + ?, {COLUMNS} FROM chips WHERE state = ? AND {_COST} + ? <= ? '
         'ORDER BY value DESC, seq LIMIT ?',
-        (overhead, WAITING, overhead, max_cost, count),
+        (overhead, ChipState.WAITING, overhead, max_cost, count),
     ).fetchall():
         if cost > room:
             return Claim(chips, Stall.NO_ROOM, cost)

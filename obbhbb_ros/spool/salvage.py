@@ -39,8 +39,7 @@ def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
     """
     gaps: list[Gap] = []
     is_empty = True
-    with closing(_connect(path)) as database:
-        _prepare(database, path)
+    with closing(_open(path)) as database:
         for *fields, data in rows_around_damage(database, 'chips', _COLUMNS, gaps.append):
             is_empty = False
             chip = StoredChip(*fields)
@@ -52,38 +51,27 @@ def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
         raise SpoolError(f'{path}: no chip can be read: {gaps[0].error}')
 
 
-def _connect(path: Path) -> sqlite3.Connection:
-    """Connect to a file for reading; SpoolError if that is not possible."""
+def _open(path: Path) -> sqlite3.Connection:
+    """Open a file, damaged or not, for reading; SpoolError if it is not a catalogue."""
     try:
         database = sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro', uri=True)
-    except sqlite3.Error as error:
-        raise _not_opened(path, error) from error
-    database.text_factory = lossy_text
-    return database
-
-
-def _prepare(database: sqlite3.Connection, path: Path) -> None:
-    """Open the file of a connection, damaged or not; SpoolError if it is not a catalogue."""
-    try:
+        database.text_factory = lossy_text
         # With it, SQLite reads a file that has lost its end.
         database.execute('PRAGMA writable_schema = ON')
         database.execute('PRAGMA schema_version')
     except sqlite3.OperationalError as error:
-        raise _not_opened(path, error) from error
+        raise SpoolError(
+            f'{path}: {error}; it must be readable, and if its disk is read-only, copy all files '
+            'of the same name to another'
+        ) from error
     except sqlite3.DatabaseError:
         # Damage is found below, and row by row.
         pass
     try:
         database.execute(f'SELECT {", ".join(_COLUMNS)} FROM chips LIMIT 0')
     except sqlite3.DatabaseError as error:
+        database.close()
         raise SpoolError(
             f'{path} is no catalogue of a spool, or its start is damaged: {error}'
         ) from error
-
-
-def _not_opened(path: Path, error: sqlite3.Error) -> SpoolError:
-    """Say that a file cannot be opened, and what helps."""
-    return SpoolError(
-        f'{path}: {error}; it must be readable, and if its disk is read-only, copy all files of '
-        'the same name to another'
-    )
+    return database

@@ -21,7 +21,7 @@ from obbhbb_ros.spool.books import evict
 from obbhbb_ros.spool.catalogue import SpoolDamagedError
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import COLUMNS
-from obbhbb_ros.spool.chip_rows import WAITING
+from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import NewChip
 
 # Seconds to wait for another process: a frame may be late by this much.
@@ -84,8 +84,9 @@ class SpoolWriter(SpoolAccess):
     def __init__(self, folder: Path, on_trouble: Callable[[str], object]) -> None:
         super().__init__(folder, on_trouble, self._take_number, patience=_PATIENCE)
         self._number = 0
-        # What is still to be written down: frames, and why none of their chips was stored.
-        self._arrears: list[tuple[FrameTicket, Counter[str]]] = []
+        # What is still to be written down: frames to close, and what to add to the books.
+        self._open_frames: list[FrameTicket] = []
+        self._unbooked: Counter[str] = Counter()
 
     def plan(self, chips: int) -> FrameTicket:
         """Write down that a frame with some chips is in work."""
@@ -136,12 +137,17 @@ class SpoolWriter(SpoolAccess):
             return True
         except SpoolError as error:
             self._on_trouble(str(error))
-            self._owe(ticket, Counter(refused) + Counter(spool_failed=len(chips)))
+            if ticket.is_planned:
+                self._open_frames.append(ticket)
+            else:
+                self._unbooked['planned'] += ticket.chips
+            self._unbooked['refused.spool_failed'] += len(chips)
+            self._unbooked.update({f'refused.{reason}': n for reason, n in refused.items()})
             return False
 
     def catch_up(self) -> None:
         """Write down what could not be written down before, if there is anything."""
-        if self._arrears:
+        if self._open_frames or self._unbooked:
             with suppress(SpoolError), self._transaction():
                 pass
 
@@ -154,10 +160,13 @@ class SpoolWriter(SpoolAccess):
     def _transaction(self) -> Iterator[sqlite3.Cursor]:
         """Begin a transaction with what could not be written down before."""
         with self._catalogue.transaction(write=True) as rows:
-            for ticket, refused in self._arrears:
-                self._settle(rows, ticket, refused)
+            for ticket in self._open_frames:
+                self._close_frame(rows, ticket)
+            for name, count in self._unbooked.items():
+                book(rows, name, count)
             yield rows
-        self._arrears.clear()
+        self._open_frames.clear()
+        self._unbooked.clear()
 
     def _store(
         self,
@@ -166,9 +175,11 @@ class SpoolWriter(SpoolAccess):
         refused: Mapping[str, int],
         max_bytes: float,
     ) -> None:
-        """Settle a frame, insert its chips and make room."""
+        """Close a frame, insert its chips and make room."""
         with self._transaction() as rows:
-            self._settle(rows, ticket, refused)
+            self._close_frame(rows, ticket)
+            for reason, count in refused.items():
+                book(rows, f'refused.{reason}', count)
             (last,) = rows.execute(
                 "SELECT ifnull(max(seq), 0) FROM sqlite_sequence WHERE name = 'chips'"
             ).fetchone()
@@ -179,7 +190,7 @@ class SpoolWriter(SpoolAccess):
             # Once for all of them: a trigger would take as long as the insertion.
             rows.execute(
                 'UPDATE totals SET chips = chips + ?, bytes = bytes + ? WHERE state = ?',
-                (len(chips), sum(len(chip.data) for chip in chips), WAITING),
+                (len(chips), sum(len(chip.data) for chip in chips), ChipState.WAITING),
             )
             if max_bytes and not evict(rows, max_bytes):
                 self._on_trouble(
@@ -187,28 +198,13 @@ class SpoolWriter(SpoolAccess):
                     'is left to evict; chips are evicted as they come'
                 )
 
-    def _owe(self, ticket: FrameTicket, refused: Counter[str]) -> None:
-        """Remember a frame that could not be settled."""
-        if self._arrears and not ticket.is_planned and not self._arrears[-1][0].is_planned:
-            # One entry for all of them: however long the trouble lasts, memory does not grow.
-            last, last_refused = self._arrears.pop()
-            ticket, refused = (
-                FrameTicket('', 0, last.chips + ticket.chips),
-                refused + last_refused,
-            )
-        self._arrears.append((ticket, refused))
-
-    def _settle(
-        self, rows: sqlite3.Cursor, ticket: FrameTicket, refused: Mapping[str, int]
-    ) -> None:
+    def _close_frame(self, rows: sqlite3.Cursor, ticket: FrameTicket) -> None:
         """Close a frame; one that was planned in another catalogue, or in none, is planned here."""
         if ticket.catalogue != self._catalogue.tag:
             book(rows, 'planned', ticket.chips)
         elif not rows.execute('DELETE FROM frames WHERE number = ?', (ticket.number,)).rowcount:
             # Another writer has closed it, as a frame of a process that had ended.
             book(rows, 'refused.interrupted', -ticket.chips)
-        for reason, count in refused.items():
-            book(rows, f'refused.{reason}', count)
 
     def _take_number(self, rows: sqlite3.Cursor) -> None:
         """Take the first free number of a writer, and refuse the frames of writers that ended."""

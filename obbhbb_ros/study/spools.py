@@ -15,9 +15,6 @@ from obbhbb_ros.spool.books import Status
 from obbhbb_ros.spool.catalogue import SpoolDamagedError
 from obbhbb_ros.spool.catalogue import catalogue_files
 from obbhbb_ros.spool.catalogue import is_in_use
-from obbhbb_ros.spool.chip_rows import CLAIMED
-from obbhbb_ros.spool.chip_rows import RELEASED
-from obbhbb_ros.spool.chip_rows import WAITING
 from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.chip_rows import describe_intact
 from obbhbb_ros.spool.console import SpoolConsole
@@ -27,7 +24,8 @@ from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track
 from obbhbb_ros.text_tables import aligned
 
-STATES = {WAITING: 'waiting', CLAIMED: 'being released', RELEASED: 'in outbox'}
+# By `ChipState`.
+STATES = ('waiting', 'being released', 'in outbox')
 
 
 def open_spool(folder: Path) -> SpoolConsole:
@@ -89,13 +87,8 @@ def chip_table(chips: Iterable[StoredChip]) -> str:
 
 def as_json(status: Status, chips: Iterable[StoredChip]) -> Mapping[str, Any]:
     """Give books and chips for a JSON file."""
-    return {
-        'waiting': status.waiting,
-        'waiting_bytes': status.waiting_bytes,
-        'in_outbox': status.in_outbox,
-        'in_work': status.in_work,
-        'set_aside': status.set_aside,
-        'counts': dict(status.counts),
+    books = {name: value for name, value in vars(status).items() if name != 'file_bytes'}
+    return books | {
         'chips': [{**_described(chip), 'state': STATES[chip.state]} for chip in chips],
     }
 

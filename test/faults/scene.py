@@ -22,7 +22,7 @@ from spooled import new_chip
 
 from obbhbb_ros.spool.books import Status
 from obbhbb_ros.spool.catalogue import catalogue_files
-from obbhbb_ros.spool.chip_rows import CLAIMED
+from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.feeder import ReleaseSettings
 from obbhbb_ros.spool.writer import SpoolWriter
 
@@ -85,7 +85,7 @@ class Scene:
                     return {
                         chip_id
                         for (chip_id,) in rows.execute(
-                            'SELECT id FROM chips WHERE state = ?', [CLAIMED]
+                            'SELECT id FROM chips WHERE state = ?', [ChipState.CLAIMED]
                         )
                     }
         return set()

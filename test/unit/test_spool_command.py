@@ -18,8 +18,7 @@ from spooled import values_in_outbox
 from obbhbb_ros.cli import main
 from obbhbb_ros.spool.catalogue import DAMAGED
 from obbhbb_ros.spool.catalogue import catalogue_files
-from obbhbb_ros.spool.chip_rows import CLAIMED
-from obbhbb_ros.spool.chip_rows import WAITING
+from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.writer import SpoolWriter
 
@@ -45,7 +44,7 @@ def folder(tmp_path):
     return made
 
 
-def values(folder, state=WAITING):
+def values(folder, state=ChipState.WAITING):
     """List the values of chips in the order of their release."""
     console = SpoolConsole(folder, print)
     listed = [round(chip.value, 6) for chip in console.select() if chip.state == state]
@@ -130,7 +129,7 @@ def test_revalued_chips_have_another_place(folder, capsys, options, message, wai
     assert run(folder, 'revalue', *options) == 0
     assert capsys.readouterr().out == message + '\n'
     assert values(folder) == waiting
-    assert values(folder, CLAIMED) == [0.7]
+    assert values(folder, ChipState.CLAIMED) == [0.7]
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from spooled import store
 from spooled import values_in_outbox
 
 from obbhbb_ros.downlink.budget import BudgetSettings
-from obbhbb_ros.spool.chip_rows import CLAIMED
+from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.feeder import ReleaseSettings
 from obbhbb_ros.spool.outbox import Outbox
@@ -59,7 +59,7 @@ class Ground:
 
     def claimed(self):
         """List the ids of claimed chips."""
-        return [chip.id for chip in self.console.select() if chip.state == CLAIMED]
+        return [chip.id for chip in self.console.select() if chip.state == ChipState.CLAIMED]
 
     def steps(self, count=1, seconds=0.0):
         for _ in range(count):

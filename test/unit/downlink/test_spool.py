@@ -32,8 +32,7 @@ from obbhbb_ros.spool.catalogue import Catalogue
 from obbhbb_ros.spool.catalogue import SpoolDamagedError
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.catalogue import catalogue_files
-from obbhbb_ros.spool.chip_rows import CLAIMED
-from obbhbb_ros.spool.chip_rows import WAITING
+from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.console import ANY_CHIP
 from obbhbb_ros.spool.console import ChipFilter
 from obbhbb_ros.spool.console import SpoolConsole
@@ -864,7 +863,7 @@ class AnyOrder(RuleBasedStateMachine):
         chips = self.releaser.claim(most, room, ALL, 0).chips
         keys = [(-chip.value, chip.seq) for chip, _ in chips]
         assert keys == sorted(keys)
-        waiting = self.chips(WAITING)
+        waiting = self.chips(ChipState.WAITING)
         if chips and waiting:
             assert keys[-1] < (-waiting[0].value, waiting[0].seq)
         assert not any(chip.id in self.out for chip, _ in chips)
@@ -911,8 +910,8 @@ class AnyOrder(RuleBasedStateMachine):
         assert status.in_outbox == len(self.released)
         assert status.counts.get('delivered', 0) == len(self.out) - len(self.released)
         assert status.counts.get('released', 0) == len(self.out)
-        assert sorted(chip.id for chip in self.chips(CLAIMED)) == sorted(self.claimed)
-        assert status.waiting == len(self.chips(WAITING, CLAIMED))
+        assert sorted(chip.id for chip in self.chips(ChipState.CLAIMED)) == sorted(self.claimed)
+        assert status.waiting == len(self.chips(ChipState.WAITING, ChipState.CLAIMED))
         assert status.in_work == sum(ticket.chips for frames in self.frames for ticket in frames)
         assert max(self.out.values(), default=0) <= 1
 
