@@ -7,17 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from library import build
 
-FAULTS = Path(__file__).parents[2] / 'faults'
+FAULTS = Path(__file__).parent
 
 
 @pytest.fixture(scope='session')
 def library(tmp_path_factory):
-    sys.path.insert(0, str(FAULTS))
-    try:
-        from library import build
-    finally:
-        sys.path.remove(str(FAULTS))
     return build(tmp_path_factory.mktemp('faults'))
 
 
