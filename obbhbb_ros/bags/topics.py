@@ -38,7 +38,7 @@ VERSION = 9
 # The hash that ROS writes for an unknown type.
 NO_HASH = 'RIHS00_' + 64 * '0'
 
-_INPUT_TYPES = {f'{known.package}/msg/{known.name}': known for known in INPUT_TYPES.values()}
+_INPUT_TYPES = {f'{kind.package}/msg/{kind.name}': kind for kind in INPUT_TYPES.values()}
 _FOREVER = QosTime(9223372036, 854775807)
 # The QoS that the node offers, as rosbag2 writes it.
 _QOS = Qos(
@@ -147,7 +147,9 @@ def _listed(names: Collection[str]) -> str:
 
 def _check_camera_info(connections: Collection[Connection], topic: str) -> None:
     """Raise ValueError if the bag lacks the topic that the caller named."""
-    infos = [known.topic for known in connections if known.msgtype == CAMERA_INFO_TYPE]
+    infos = [
+        connection.topic for connection in connections if connection.msgtype == CAMERA_INFO_TYPE
+    ]
     if topic and _absolute(topic) not in infos:
         raise ValueError(
             f'{_absolute(topic)} is no topic of {CAMERA_INFO_TYPE}; the bag has '
@@ -180,8 +182,8 @@ def add_topics(writer: Writer, connections: Iterable[Connection]) -> dict[int, C
 
 def add_output(writer: Writer, topic: str, connections: Collection[Connection]) -> Connection:
     """Add a topic of boxes, with the definition of their type that the bag has, if any."""
-    of_boxes = (known for known in connections if known.msgtype == OUTPUT_TYPE)
-    first = next((known for known in of_boxes if known.msgdef.data), None)
+    of_boxes = (connection for connection in connections if connection.msgtype == OUTPUT_TYPE)
+    first = next((connection for connection in of_boxes if connection.msgdef.data), None)
     if first is None:
         return add_live_topic(writer, topic, OUTPUT_TYPE)
     definition, digest = _definition(first)

@@ -5,17 +5,26 @@ from __future__ import annotations
 
 from obbhbb_ros.spool.books import Status
 
-# Counts to report even if they are 0.
-_ALWAYS = ('planned', 'released', 'delivered', 'delivered_bytes')
-
 
 def kind_of(text: str) -> str:
-    """Return what a message about a spool has in common with others: all but names and numbers."""
+    """Return the kind of a message about a spool: its text without paths and numbers."""
     return ' '.join(word for word in text.split() if not any(map(str.isdigit, word)))
 
 
 def facts_of(status: Status) -> dict[str, str]:
     """List what the diagnostics say of a spool."""
-    facts = dict.fromkeys(_ALWAYS, 0) | dict(vars(status)) | dict(sorted(status.counts.items()))
-    del facts['counts']
-    return {f'spool.{name}': str(value) for name, value in facts.items()}
+    counts = dict(status.counts)
+    facts = {
+        'spool.planned': counts.pop('planned', 0),
+        'spool.released': counts.pop('released', 0),
+        'spool.delivered': counts.pop('delivered', 0),
+        'spool.delivered_bytes': counts.pop('delivered_bytes', 0),
+        'spool.waiting': status.waiting,
+        'spool.waiting_bytes': status.waiting_bytes,
+        'spool.in_outbox': status.in_outbox,
+        'spool.in_work': status.in_work,
+        'spool.file_bytes': status.file_bytes,
+        'spool.set_aside': status.set_aside,
+    }
+    facts.update({f'spool.{name}': count for name, count in sorted(counts.items())})
+    return {name: str(value) for name, value in facts.items()}

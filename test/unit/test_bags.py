@@ -805,7 +805,7 @@ def test_a_damaged_table_of_topics_is_an_error_that_names_what_is_missing(
         ('data = NULL', 'it is damaged'),
         ("timestamp = 'noon'", 'it is damaged'),
         ('timestamp = -1', 'it is damaged'),
-        ('topic_id = 77', 'it is of no known topic'),
+        ('topic_id = 77', 'it is of an unknown topic'),
     ],
 )
 def test_a_row_that_is_no_message_any_more_costs_only_itself(

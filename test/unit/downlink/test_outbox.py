@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from obbhbb_ros.spool import outbox as module
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.outbox import json_bytes
 from obbhbb_ros.spool.outbox import level_of
@@ -126,7 +125,7 @@ def test_a_chip_that_is_taken_while_it_is_looked_at_is_not_there(tmp_path, monke
                 os.unlink(entry.path)
         return iter(entries)
 
-    monkeypatch.setattr(module.os, 'scandir', scandir)
+    monkeypatch.setattr(os, 'scandir', scandir)
     contents = outbox.contents()
     assert (contents.complete, contents.partial) == ({'b'}, set())
 
