@@ -10,7 +10,6 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any
 from typing import NamedTuple
 
@@ -21,7 +20,7 @@ from obbhbb_ros.wire.stamp import Stamp
 _ID = re.compile(r'-?[0-9]+_[0-9]{9,10}_[0-9a-f]{6}_[0-9]+')
 
 
-class ChipState(IntEnum):
+class ChipState:
     """Where a chip of the catalogue is: in the spool, on its way to the outbox, or in it."""
 
     WAITING = 0
@@ -66,7 +65,7 @@ class NewChip:
             raise ValueError(f'value must be finite, not {self.value}')
 
     def row(self, seq: int, tag: str) -> tuple[Any, ...]:
-        """Lay out the chip as the fields of `StoredChip` and its file; it waits."""
+        """Lay out the chip as a waiting row: the fields of `StoredChip`, and the file."""
         seconds, nanoseconds = self.stamp
         facts = {
             'stamp': {'sec': seconds, 'nanosec': nanoseconds},
@@ -75,16 +74,16 @@ class NewChip:
             'bytes': len(self.data),
             'sha256': hashlib.sha256(self.data).hexdigest(),
         }
-        stored = StoredChip(
-            seq=seq,
-            id=f'{seconds}_{nanoseconds:09d}_{tag}_{seq}',
-            state=ChipState.WAITING,
-            value=self.value,
-            class_id=self.class_id,
-            bytes=len(self.data),
-            facts=json.dumps(facts, ensure_ascii=False),
+        return (
+            seq,
+            f'{seconds}_{nanoseconds:09d}_{tag}_{seq}',
+            ChipState.WAITING,
+            self.value,
+            self.class_id,
+            len(self.data),
+            json.dumps(facts, ensure_ascii=False),
+            self.data,
         )
-        return (*stored, self.data)
 
 
 class StoredChip(NamedTuple):
