@@ -97,7 +97,7 @@ setup(
     entry_points={
         'console_scripts': [
             f'obbhbb = {PACKAGE}.cli:main',
-            *(f'{name} = {PACKAGE}.nodes.__main__:{name}' for name in NODES),
+            *(f'{name} = {PACKAGE}.nodes.__main__:main' for name in NODES),
         ],
     },
     zip_safe=False,

@@ -10,3 +10,7 @@ class ObbhbbError(Exception):
     fits it best, so that `except ValueError` works as well. An argument that is out of range or of
     the wrong type raises a plain ValueError or TypeError.
     """
+
+
+class StartError(ObbhbbError, RuntimeError):
+    """A node cannot start; the text says why."""

@@ -51,7 +51,7 @@ from ships import detections
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.nodes.managed import message_type
+from obbhbb_ros.nodes.node_topics import message_type
 from obbhbb_ros.nodes.play_detections import image_message
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.parameter_file import yaml_value
@@ -696,14 +696,20 @@ def stamp_of(message: Any) -> int:
 
 
 def unexplained(keys: Iterable[str], page: str) -> list[str]:
-    """List the keys that no row of the page's table stands for."""
-    text = (DOC / page).read_text(encoding='utf-8').partition('<!-- keys of /diagnostics -->')[2]
-    table = text.lstrip().partition('\n\n')[0]
-    known = [
+    """List the keys that no row of a node's page, or of the page on all nodes, stands for."""
+    rows = [key for name in (page, 'nodes.md') for key in explained_keys(name)]
+    patterns = [
         re.escape(key)
         .replace('<name>', '.+')
         .replace('<reason>', '[a-z_]+')
         .replace('<layer>', '[a-z_]+')
-        for key in re.findall(r'^\| `([^`]+)`', table, re.MULTILINE)
+        for key in rows
     ]
-    return [key for key in keys if not re.fullmatch('|'.join(known), key)]
+    return [key for key in keys if not re.fullmatch('|'.join(patterns), key)]
+
+
+def explained_keys(page: str) -> list[str]:
+    """List the keys in the table of diagnostics on a page."""
+    text = (DOC / page).read_text(encoding='utf-8').partition('<!-- keys of /diagnostics -->')[2]
+    table = text.lstrip().partition('\n\n')[0]
+    return re.findall(r'^\| `([^`]+)`', table, re.MULTILINE)

@@ -7,56 +7,40 @@ The executables. Signals come first, and only then everything that takes time to
 
 from __future__ import annotations
 
+import os.path
 import sys
 from importlib import import_module
 
 from obbhbb_ros.nodes.stop import Stop
 
-_CLASSES = {
+NODES = {
     'obb_to_hbb': 'ObbToHbb',
     'chip_extractor': 'ChipExtractor',
     'downlink': 'Downlink',
     'overlay': 'Overlay',
     'play_detections': 'PlayDetections',
 }
+"""The class of each executable; its module has the name of the executable."""
 
 
-def obb_to_hbb() -> int:
-    """Run the conversion node."""
-    return _run('obb_to_hbb')
-
-
-def chip_extractor() -> int:
-    """Run the chip node."""
-    return _run('chip_extractor')
-
-
-def downlink() -> int:
-    """Run the downlink node."""
-    return _run('downlink')
-
-
-def overlay() -> int:
-    """Run the overlay node."""
-    return _run('overlay')
-
-
-def play_detections() -> int:
-    """Run the player."""
-    return _run('play_detections')
-
-
-def _run(name: str) -> int:
-    """Run a node by the name of its module."""
+def run_node(name: str) -> int:
+    """Run the node of an executable, and return the exit code."""
     stop = Stop()
     process = import_module('obbhbb_ros.nodes.process')
     module = import_module(f'obbhbb_ros.nodes.{name}')
-    code: int = process.run(getattr(module, _CLASSES[name]), stop)
+    code: int = process.run(getattr(module, NODES[name]), stop)
     return code
 
 
+def main() -> int:
+    """Run the node that the executable is named for, or else the first argument names."""
+    name = os.path.basename(sys.argv[0])
+    if name not in NODES:
+        name = sys.argv.pop(1) if len(sys.argv) > 1 else ''
+    if name not in NODES:
+        sys.exit(f'name an executable: {", ".join(NODES)}')
+    return run_node(name)
+
+
 if __name__ == '__main__':
-    chosen = sys.argv.pop(1) if len(sys.argv) > 1 else ''
-    if chosen not in _CLASSES:
-        sys.exit(f'name an executable: {", ".join(_CLASSES)}')
-    sys.exit(_run(chosen))
+    sys.exit(main())

@@ -50,7 +50,6 @@ from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import NewChip
 from obbhbb_ros.spool.writer import FrameTicket
 from obbhbb_ros.spool.writer import SpoolWriter
-from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image import read_image
 from obbhbb_ros.wire.plans import Source
@@ -103,8 +102,6 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     ------
     ValueError, rclpy.exceptions.ParameterException
         If the parameters given at start cannot be used.
-    StartError
-        If `autostart` is set and the node cannot be configured or activated.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -121,48 +118,53 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._on_plan_dropped, partial(self._warn_of_jump_back, 'crop_plans')
         )
         self._joiner = PairJoiner(self._images, self._plans)
-        self._budget = self._parameters_in_force.settings.budget
+        self._budget = self.parameters.settings.budget
         # The link remembers what was sent while the node is inactive.
         self._bucket = TokenBucket(self._budget, time.monotonic())
-        self._stamps = ChipStamps()
+        self._chip_topics = ChipTopics(self.topics.output, ChipStamps())
         self._spool: SpoolWriter | None = None
-        self._autostart()
-
-    def _create_topics(self) -> None:
-        """Create publishers and subscriptions, and open the spool."""
-        # If Pillow is missing, fail here and not at the first chip.
-        import PIL.Image  # noqa: F401
-
-        self._topics = ChipTopics(self._output, self._stamps)
-        self._camera = LatestCameraInfo()
-        self._sources = StampCache[list[Source]]()
-        # Subscribed first, so that camera infos and sources are there before images and plans.
-        self._camera_in = self._input(CameraInfo, 'camera_info', self._on_camera_info)
-        path = self._parameters_in_force.settings.spool_path
-        self._spool = SpoolWriter(Path(path), self._warn_of_spool) if path else None
-        plans = {'reliability': ReliabilityPolicy.RELIABLE, 'depth': PLANS_KEPT}
-        if self._spool is not None:
-            self._sources_in = self._input(
-                Detection2DArray, 'crop_sources', self._on_sources, **plans
-            )
         # Reliable: a large image travels in many pieces, and is lost with any of them. The pieces
         # also push small messages such as plans out of the middleware's buffers.
-        self._images_in = self._input(
+        add_plans = partial(
+            self.topics.input,
+            Detection2DArray,
+            reliability=ReliabilityPolicy.RELIABLE,
+            depth=PLANS_KEPT,
+        )
+        # Camera infos and sources come first, so that they are there before images and plans.
+        self.topics.input(CameraInfo, 'camera_info', self._on_camera_info)
+        self._sources_in = (
+            add_plans('crop_sources', self._on_sources)
+            if self.parameters.settings.spool_path
+            else None
+        )
+        self._images_in = self.topics.input(
             Image,
             'image',
             self._on_image,
+            'images_received',
             reliability=ReliabilityPolicy.RELIABLE,
             depth=IMAGES_KEPT,
         )
-        self._regions_in = self._input(Detection2DArray, 'crop_regions', self._on_regions, **plans)
+        self._plans_in = add_plans('crop_regions', self._on_regions, 'crop_plans_received')
+        self.reporter.add_facts(self._facts)
 
-    def _forget(self) -> None:
+    def configure(self) -> None:
+        """Open the spool; what is known of the camera is out of date."""
+        # If Pillow is missing, fail here and not at the first chip.
+        import PIL.Image  # noqa: F401
+
+        self._camera = LatestCameraInfo()
+        self._sources = StampCache[list[Source]]()
+        path = self.parameters.settings.spool_path
+        self._spool = SpoolWriter(Path(path), self._warn_of_spool) if path else None
+
+    def deactivate(self) -> None:
         """Drop the images and plans that wait for each other."""
         self._joiner.clear()
 
-    def _release(self) -> None:
-        """Destroy the topics and close the spool."""
-        super()._release()
+    def cleanup(self) -> None:
+        """Close the spool."""
         if self._spool is not None:
             self._spool.close()
             self._spool = None
@@ -186,7 +188,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
     def _settings(self) -> ChipSettings:
         """Return the settings in force, and update the budget of the link."""
-        settings = self._parameters_in_force.settings
+        settings = self.parameters.settings
         if settings.budget != self._budget:
             self._bucket.change(settings.budget, time.monotonic())
             self._budget = settings.budget
@@ -194,46 +196,23 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
     def _on_camera_info(self, data: bytes) -> None:
         """Keep the latest camera info."""
-        try:
-            self._camera.update(data)
-        except WireError as error:
-            self._drop_unreadable(data, self._camera_in, error)
+        self._camera.update(data)
 
     def _on_sources(self, data: bytes) -> None:
         """Keep the sources of a plan until the plan is cut."""
-        try:
-            stamp, sources = read_sources(data)
-        except WireError as error:
-            self._drop_unreadable(data, self._sources_in, error)
-            return
+        stamp, sources = read_sources(data)
         self._sources.put(stamp, sources, time.monotonic())
         self._sources.shrink(PLANS_KEPT)
 
     def _on_image(self, data: bytes) -> None:
-        """Keep an image for its regions, or cut it if they are there."""
-        self._monitor.add('images_received')
-        if not self._active:
-            self._monitor.add('messages_while_inactive')
-            return
-        try:
-            image = read_image(data)
-        except WireError as error:
-            self._drop_unreadable(data, self._images_in, error)
-            return
+        """Keep an image for its plan, or cut it if the plan is there."""
+        image = read_image(data)
         self._pair(self._joiner.add_image, image.stamp, image)
 
     def _on_regions(self, data: bytes) -> None:
-        """Keep regions for their image, or cut them if it is there."""
-        self._monitor.add('crop_plans_received')
-        if not self._active:
-            self._monitor.add('messages_while_inactive')
-            return
-        try:
-            plan = WirePlan(data)
-        except WireError as error:
-            self._drop_unreadable(data, self._regions_in, error)
-            return
-        self._monitor.add('chips_planned', len(plan))
+        """Keep a plan for its image, or cut the image if it is there."""
+        plan = WirePlan(data)
+        self.monitor.add('chips_planned', len(plan))
         ticket = self._spool.plan(len(plan)) if self._spool is not None and len(plan) else None
         self._pair(self._joiner.add_plan, plan.stamp, PlannedFrame(plan, ticket))
 
@@ -249,17 +228,17 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         pair = add(stamp, item, time.monotonic(), settings.pairing)
         if pair is not None:
             self._cut(*pair, settings)
-            self._monitor.took(time.perf_counter() - started)
+            self.monitor.took(time.perf_counter() - started)
 
     def _on_image_dropped(self, reason: Unpaired, _: WireImage) -> None:
         """Count an image without a plan; that is no loss: detectors may skip images."""
-        self._monitor.add(f'images_dropped.{reason.value}')
+        self.monitor.add(f'images_dropped.{reason.value}')
         if reason in _MISTAKES:
             self._warn_of_unpaired('images', reason)
 
     def _on_plan_dropped(self, reason: Unpaired, planned: PlannedFrame) -> None:
         """Count a plan without an image, and its chips."""
-        self._monitor.add(f'crop_plans_dropped.{reason.value}')
+        self.monitor.add(f'crop_plans_dropped.{reason.value}')
         self._drop(f'crop_plan_{reason.value}', len(planned))
         self._store(planned, [], {f'crop_plan_{reason.value}': len(planned)})
         if reason in _MISTAKES or (len(planned) and reason in _EXPLANATIONS):
@@ -267,15 +246,15 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
     def _warn_of_unpaired(self, kind: str, reason: Unpaired) -> None:
         """Report a message that met no partner."""
-        self._warn(
+        self.reporter.warn(
             f'{kind} {reason.value}',
             f'dropped a message on {self._topic(kind)}: {_EXPLANATIONS[reason]}',
         )
 
     def _warn_of_jump_back(self, kind: str, latest: Stamp, stamp: Stamp) -> None:
         """Count and report that stamps start again."""
-        self._monitor.add('stamps_ran_back')
-        self._warn(
+        self.monitor.add('stamps_ran_back')
+        self.reporter.warn(
             f'{kind} ran back',
             f'stamps on {self._topic(kind)} went backwards from {stamp_text(latest)} to '
             f'{stamp_text(stamp)}: a bag that loops, a clock that was set back, or two publishers',
@@ -283,20 +262,18 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
     def _topic(self, kind: str) -> str:
         """Name the topic of images or crop plans."""
-        subscription = self._images_in if kind == 'images' else self._regions_in
-        name: str = subscription.topic_name
-        return name
+        return (self._images_in if kind == 'images' else self._plans_in).topic_name
 
     def _drop(self, reason: str, count: int) -> None:
         """Count planned chips that are not sent."""
         if count:
-            self._monitor.add(f'chips_dropped.{reason}', count)
+            self.monitor.add(f'chips_dropped.{reason}', count)
 
     def _cut(self, image: WireImage, planned: PlannedFrame, settings: ChipSettings) -> None:
         """Cut one frame; publish what the budget allows, and store all of it in the spool."""
-        self._monitor.add('frames_paired')
+        self.monitor.add('frames_paired')
         frame = FrameCut[NewChip](planned.plan.regions)
-        is_wanted = self._topics.wanted
+        is_wanted = self._chip_topics.wanted()
         if not is_wanted:
             frame.close_link(Dropped.NO_SUBSCRIBER)
         try:
@@ -304,14 +281,14 @@ class ChipExtractor(ManagedNode[ChipSettings]):
                 self._run(frame, image, planned, is_wanted, settings)
         except ChipError as error:
             frame.refuse(Dropped.IMAGE_REFUSED)
-            self._warn(
+            self.reporter.warn(
                 'image refused',
                 f'no chips of the image on {self._images_in.topic_name} at stamp '
                 f'{stamp_text(image.stamp)}: {error}',
             )
         finally:
             # After an error as well, every chip is accounted for.
-            self._monitor.add('chips_sent', frame.sent)
+            self.monitor.add('chips_sent', frame.sent)
             self._report_dropped(frame.not_sent, image, len(planned))
             self._store(planned, frame.records, frame.not_recorded)
 
@@ -342,11 +319,11 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     ) -> FrameLink:
         """Return the link for the chips of an image."""
         budget = FrameBudget(settings.budget, self._bucket, settings.codec, time.monotonic)
-        topics = self._topics.of_frame(image, plan, camera, settings.codec.codec)
+        topics = self._chip_topics.of_frame(image, plan, camera, settings.codec.codec)
 
         def send(chip: EncodedChip, data: bytes) -> None:
             topics.publish(chip, data)
-            self._monitor.add('bytes_sent', len(data) + settings.budget.overhead)
+            self.monitor.add('bytes_sent', len(data) + settings.budget.overhead)
 
         return FrameLink(budget, send)
 
@@ -355,9 +332,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         sources = self._sources.pop(plan.stamp) or []
         if plan.has_sources(sources):
             return sources
-        self._monitor.add('plans_without_sources')
-        if self._sources_in.get_publisher_count():
-            self._warn(
+        self.monitor.add('plans_without_sources')
+        if self._sources_in is not None and self._sources_in.has_publisher():
+            self.reporter.warn(
                 'no sources',
                 f'no sources on {self._sources_in.topic_name} for the plan at stamp '
                 f'{stamp_text(plan.stamp)}: scores are used as values',
@@ -369,7 +346,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         for reason, number in dropped.items():
             self._drop(reason, number)
             if reason in _LOST_FOR_GOOD:
-                self._warn(
+                self.reporter.warn(
                     reason,
                     f'dropped {number} of {count} chips at stamp {stamp_text(image.stamp)}: '
                     f'{_LOST_FOR_GOOD[reason]}',
@@ -381,16 +358,16 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         """Store the chips of a frame, if there is a spool."""
         if self._spool is None or planned.ticket is None:
             return
-        max_bytes = self._parameters_in_force.settings.spool_max_bytes
+        max_bytes = self.parameters.settings.spool_max_bytes
         is_stored = self._spool.store(planned.ticket, records, refused, max_bytes)
-        self._monitor.add('chips_stored' if is_stored else 'chips_not_stored', len(records))
+        self.monitor.add('chips_stored' if is_stored else 'chips_not_stored', len(records))
 
     def _warn_of_failure(
         self, image: WireImage, codec: str, region: Region, error: Exception
     ) -> None:
         """Report a chip that its format cannot hold."""
         x0, y0, x1, y1 = region
-        self._warn(
+        self.reporter.warn(
             'encoder failure',
             f'{codec} cannot hold the chip of {x1 - x0} x {y1 - y0} pixels at ({x0}, {y0}), '
             f'stamp {stamp_text(image.stamp)}: {error}; see crop.max_size',
@@ -398,5 +375,5 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
     def _warn_of_spool(self, text: str) -> None:
         """Report trouble with the spool."""
-        self._monitor.add('spool_troubles')
-        self._warn(kind_of(text), f'spool: {text}')
+        self.monitor.add('spool_troubles')
+        self.reporter.warn(kind_of(text), f'spool: {text}')

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Callable
 from copy import copy
 from typing import Any
 
@@ -17,6 +18,7 @@ from obbhbb_ros.downlink.chips import EncodedChip
 from obbhbb_ros.downlink.chips import format_text
 from obbhbb_ros.downlink.stamps import ChipStamps
 from obbhbb_ros.nodes.camera_info import region_of_interest
+from obbhbb_ros.nodes.node_topics import TopicOutput
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.plans import WirePlan
 
@@ -27,27 +29,25 @@ _DEPTH = 1000
 
 class ChipTopics:
     """
-    Publishers of chips.
+    The outputs for chips.
 
     Parameters
     ----------
     create : callable
-        Creates a publisher, given message type, topic and depth.
+        Creates an output, given message class, topic and depth.
     stamps : ChipStamps
         Hands out their stamps.
     """
 
-    def __init__(self, create: Any, stamps: ChipStamps) -> None:
+    def __init__(self, create: Callable[[Any, str, int], TopicOutput], stamps: ChipStamps) -> None:
         self.files = create(CompressedImage, 'chip/compressed', _DEPTH)
         self.places = create(CameraInfo, 'chip/camera_info', _DEPTH)
         self.identities = create(Detection2DArray, 'chip/detections', _DEPTH)
         self.stamps = stamps
 
-    @property
     def wanted(self) -> bool:
-        """Whether any of them has a subscriber."""
-        publishers = self.files, self.places, self.identities
-        return any(publisher.get_subscription_count() for publisher in publishers)
+        """Return whether any of them has a subscriber."""
+        return any(output.wanted() for output in (self.files, self.places, self.identities))
 
     def of_frame(self, image: WireImage, plan: WirePlan, camera: Any, codec: str) -> FrameTopics:
         """Prepare publishing the chips of an image, given their plan and camera info."""
@@ -63,7 +63,7 @@ class FrameTopics:
         self._topics, self._image, self._plan, self._camera = topics, image, plan, camera
         self._format = format_text(image.encoding, codec)
         self._stamps = topics.stamps.of_image(image.stamp)
-        self._with_identity = bool(topics.identities.get_subscription_count())
+        self._with_identity = topics.identities.wanted()
 
     def publish(self, chip: EncodedChip, data: bytes) -> None:
         """Publish a chip with its file, which comes last."""

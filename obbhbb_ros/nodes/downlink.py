@@ -18,7 +18,6 @@ from obbhbb_ros.settings.downlink import DownlinkSettings
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.feeder import FeederThread
-from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.contact import read_contact
 
 
@@ -38,8 +37,6 @@ class Downlink(ManagedNode[DownlinkSettings]):
     ------
     ValueError, rclpy.exceptions.ParameterException
         If the parameters given at start cannot be used.
-    StartError
-        If `autostart` is set and the node cannot be configured or activated.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -47,13 +44,7 @@ class Downlink(ManagedNode[DownlinkSettings]):
         self._worker: FeederThread | None = None
         self._books: SpoolConsole | None = None
         self._contact = False
-        self._parameters_in_force.on_change = self._steer
-        self._autostart()
-
-    def _create_topics(self) -> None:
-        """Subscribe to the contact, and start the thread that releases."""
-        self._contact = False
-        self._contact_in = self._input(
+        self.topics.input(
             Bool,
             'contact',
             self._on_contact,
@@ -61,55 +52,52 @@ class Downlink(ManagedNode[DownlinkSettings]):
             durability=DurabilityPolicy.TRANSIENT_LOCAL,
             depth=1,
         )
-        settings = self._parameters_in_force.settings
+        self.parameters.on_change = self._steer
+        self.reporter.add_facts(self._facts)
+
+    def configure(self) -> None:
+        """Open the spool, and start the thread that releases chips; so far there is no contact."""
+        self._contact = False
+        settings = self.parameters.settings
         self._books = SpoolConsole(Path(settings.spool_path), self._warn_of_spool)
         self._worker = FeederThread(
             Path(settings.spool_path), Path(settings.outbox_path), settings.release
         )
 
-    def _steer(self) -> None:
-        """Tell the thread what is in force now."""
-        if self._worker is None:
-            return
-        settings = self._parameters_in_force.settings
-        self._worker.steer(
-            settings.release, self._active and (settings.always_in_contact or self._contact)
-        )
-
-    def on_activate(self, state: Any) -> Any:
+    def activate(self) -> None:
         """Start releasing."""
-        result = super().on_activate(state)
         self._steer()
-        return result
 
-    def _forget(self) -> None:
+    def deactivate(self) -> None:
         """Stop releasing."""
         self._steer()
 
-    def _release(self) -> None:
-        """Destroy topics, end the thread."""
+    def cleanup(self) -> None:
+        """Stop the thread, and close the spool."""
         if self._worker is not None:
             self._worker.stop()
             self._worker = None
         if self._books is not None:
             self._books.close()
             self._books = None
-        super()._release()
+
+    def _steer(self) -> None:
+        """Tell the thread which settings are in force and whether there is contact."""
+        if self._worker is not None:
+            settings = self.parameters.settings
+            has_contact = settings.always_in_contact or self._contact
+            self._worker.steer(settings.release, self.is_active and has_contact)
 
     def destroy_node(self) -> None:
-        """End the thread with the node."""
+        """Stop the thread with the node."""
         if self._worker is not None:
             self._worker.stop()
         super().destroy_node()
 
     def _on_contact(self, data: bytes) -> None:
         """Learn whether there is contact."""
-        self._monitor.add('contacts_received')
-        try:
-            self._contact = read_contact(data)
-        except WireError as error:
-            self._drop_unreadable(data, self._contact_in, error)
-            return
+        self.monitor.add('contacts_received')
+        self._contact = read_contact(data)
         self._steer()
 
     def _facts(self) -> dict[str, str]:
@@ -133,5 +121,5 @@ class Downlink(ManagedNode[DownlinkSettings]):
 
     def _warn_of_spool(self, text: str) -> None:
         """Report trouble with spool or outbox."""
-        self._monitor.add('troubles')
-        self._warn(kind_of(text), text)
+        self.monitor.add('troubles')
+        self.reporter.warn(kind_of(text), text)

@@ -1,149 +1,75 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node reports: counters, rates, latency percentiles, parameters in force."""
+"""What a node counts and measures."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
 from collections import deque
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
-from diagnostic_msgs.msg import DiagnosticStatus
-from diagnostic_msgs.msg import KeyValue
-from rclpy.node import Node
 
-from obbhbb_ros.settings.common import HARDWARE_ID
-from obbhbb_ros.settings.common import INPUT_TIMEOUT
-
-PERIOD = 1.0
-# Times the input timeout.
-_STALE_AFTER = 3.0
-_WINDOW = 1000
+_LATENCIES = 1000
 
 
 class Monitor:
     """
-    Counts what a node does and publishes it on `/diagnostics` once a second.
+    The counters of a node, their rates, its latencies, and how long it has had no input.
 
     Parameters
     ----------
-    node : Node
-        The node that is watched.
     rates : tuple of str
-        Counters whose rate is published as well; the first counts the input.
+        Counters whose rate is reported as well; the first one counts the input.
+
+    Attributes
+    ----------
+    counts : Counter of str
+        The counters, by their keys in the diagnostics.
     """
 
-    def __init__(self, node: Node, rates: tuple[str, ...]) -> None:
+    def __init__(self, rates: tuple[str, ...]) -> None:
         self.counts: Counter[str] = Counter()
-        self._node = node
         self._rates = rates
-        self._durations: deque[float] = deque(maxlen=_WINDOW)
-        self._last: Counter[str] = Counter()
-        self._last_time = time.monotonic()
-        self._input_seen = 0, time.monotonic()
-        self._trouble = ''
+        self._latencies: deque[float] = deque(maxlen=_LATENCIES)
+        self._reported, self._report_time = Counter[str](), time.monotonic()
+        self._inputs, self._input_time = 0, time.monotonic()
 
     def add(self, name: str, count: int = 1) -> None:
-        """Count."""
+        """Increase a counter."""
         self.counts[name] += count
 
     def took(self, seconds: float) -> None:
-        """Record how long a message took, from its arrival in Python to its publication."""
-        self._durations.append(seconds)
-
-    def silence(self) -> float:
-        """Return the seconds without input, to the precision of a report."""
-        now, inputs = time.monotonic(), self.counts[self._rates[0]]
-        if inputs != self._input_seen[0]:
-            self._input_seen = inputs, now
-        return now - self._input_seen[1]
+        """Record the latency of a message: from its arrival in Python to the last publication."""
+        self._latencies.append(seconds)
 
     def expect_input(self) -> None:
-        """Count the time without input from now on."""
-        self._input_seen = self.counts[self._rates[0]], time.monotonic()
+        """Measure the time without input from now on."""
+        self._inputs, self._input_time = self.counts[self._rates[0]], time.monotonic()
 
-    def trouble(self, text: str) -> None:
-        """Remember what went wrong, for the next report."""
-        self._trouble = text
+    def silence(self) -> float:
+        """Return the time since input was last noticed, by a call of this method, seconds."""
+        if self.counts[self._rates[0]] != self._inputs:
+            self.expect_input()
+        return time.monotonic() - self._input_time
 
-    def remind(self, text: str) -> None:
-        """Say something in the next report, unless something has gone wrong since."""
-        self._trouble = self._trouble or text
-
-    def report(
-        self,
-        state: str,
-        parameters: Mapping[str, Any],
-        facts: Mapping[str, str],
-        silent_for: float = 0.0,
-    ) -> DiagnosticArray:
-        """
-        Write the report of the period that ends now.
-
-        Parameters
-        ----------
-        state : str
-            Lifecycle state of the node.
-        parameters : mapping of str to value
-            Parameters in force.
-        facts : mapping of str to str
-            Other values.
-        silent_for : float
-            Seconds without input, if that is too long.
-
-        Returns
-        -------
-        DiagnosticArray
-            One status. Its level is WARN if anything went wrong since the last report, and ERROR or
-            STALE without input.
-        """
-        level = DiagnosticStatus.WARN if self._trouble else DiagnosticStatus.OK
-        message = self._trouble or state
-        if silent_for:
-            stale = silent_for > _STALE_AFTER * parameters[INPUT_TIMEOUT.name]
-            level = DiagnosticStatus.STALE if stale else DiagnosticStatus.ERROR
-            message = f'no input for {silent_for:.0f} s'
-        name = self._node.get_fully_qualified_name()
-        values = {'state': state}
-        values.update({name: str(count) for name, count in sorted(self.counts.items())})
-        values.update(facts)
-        values.update(self._rate_values())
-        values.update(self._latency_values())
-        values.update({f'parameter.{name}': str(value) for name, value in parameters.items()})
-        status = DiagnosticStatus(
-            level=level,
-            name=name.lstrip('/'),
-            message=message,
-            hardware_id=parameters[HARDWARE_ID.name] or name,
-            values=[KeyValue(key=key, value=value) for key, value in values.items()],
-        )
-        self._trouble = ''
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self._node.get_clock().now().to_msg()
-        return array
-
-    def _rate_values(self) -> dict[str, str]:
-        """Divide what was counted since the last report by the time since."""
+    def rate_values(self) -> dict[str, str]:
+        """Return the rates since the last call, per second, by their keys in the diagnostics."""
         now = time.monotonic()
-        elapsed = max(now - self._last_time, 1e-9)
+        elapsed = max(now - self._report_time, 1e-9)
         rates = {
-            f'{name}_per_second': f'{(self.counts[name] - self._last[name]) / elapsed:.2f}'
+            f'{name}_per_second': f'{(self.counts[name] - self._reported[name]) / elapsed:.2f}'
             for name in self._rates
         }
-        self._last, self._last_time = self.counts.copy(), now
+        self._reported, self._report_time = self.counts.copy(), now
         return rates
 
-    def _latency_values(self) -> dict[str, str]:
-        """Summarise how long the latest messages took."""
-        if not self._durations:
+    def latency_values(self) -> dict[str, str]:
+        """Return percentiles of the latest 1000 latencies, by their keys in the diagnostics."""
+        if not self._latencies:
             return {}
-        milliseconds = np.array(self._durations) * 1e3
-        p50, p99, worst = np.percentile(milliseconds, (50, 99, 100))
+        p50, p99, highest = np.percentile(np.array(self._latencies) * 1e3, (50, 99, 100))
         return {
             'latency_p50_ms': f'{p50:.3f}',
             'latency_p99_ms': f'{p99:.3f}',
-            'latency_max_ms': f'{worst:.3f}',
+            'latency_max_ms': f'{highest:.3f}',
         }

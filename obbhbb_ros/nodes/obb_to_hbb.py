@@ -10,13 +10,11 @@ from sensor_msgs.msg import CameraInfo
 from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.managed import message_type
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.pipeline import Outputs
 from obbhbb_ros.pipeline import answer
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
-from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import read_image_size
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
@@ -37,68 +35,49 @@ class ObbToHbb(ManagedNode[ConversionSettings]):
     ------
     ValueError, rclpy.exceptions.ParameterException
         If the parameters given at start cannot be used.
-    StartError
-        If `autostart` is set and the node cannot be configured or activated.
     """
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(
             'obb_to_hbb', OBB_TO_HBB, ('messages_received', 'detections_received'), **kwargs
         )
-        self._camera_size = (0, 0)
-        self._autostart()
-
-    def _create_topics(self) -> None:
-        """Create publishers and subscriptions."""
         self._input_type = INPUT_TYPES[self.get_parameter('input_type').value]
-        self._answers = Outputs(
-            *(
-                Output(publisher.publish, publisher.get_subscription_count)
-                for publisher in (
-                    self._output(Detection2DArray, 'boxes'),
-                    self._output(Detection2DArray, 'crop_regions'),
-                    self._output(Detection2DArray, 'crop_sources'),
-                )
-            )
+        self._outputs = [
+            self.topics.output(Detection2DArray, topic)
+            for topic in ('boxes', 'crop_regions', 'crop_sources')
+        ]
+        # First, so that the node knows an image size that was published before the detections.
+        self.topics.input(CameraInfo, 'camera_info', self._on_camera_info)
+        self._detections = self.topics.input(
+            self._input_type, self._input_type.topic, self._on_message, 'messages_received'
         )
-        # First, so that the size that was published before a message is known by then.
-        self._camera = self._input(CameraInfo, 'camera_info', self._on_camera_info)
-        self._detections = self._input(
-            message_type(self._input_type), self._input_type.topic, self._on_message
-        )
+        self.reporter.add_facts(self._facts)
+
+    def configure(self) -> None:
+        """Forget the camera."""
         self._camera_size = (0, 0)
+        self._answers = Outputs(*(Output(topic.publish, topic.wanted) for topic in self._outputs))
 
     def _facts(self) -> dict[str, str]:
-        """Report how many pixels the crop plans save against those of the outer boxes."""
-        outer = self._monitor.counts['crop_pixels.outer_boxes']
+        """Report how many pixels the crop plans save compared with those of the outer boxes."""
+        outer = self.monitor.counts['crop_pixels.outer_boxes']
         if not outer:
             return {}
-        saved = 1.0 - self._monitor.counts['crop_pixels.compared'] / outer
+        saved = 1.0 - self.monitor.counts['crop_pixels.compared'] / outer
         return {'crop_pixels.saved_percent': f'{100.0 * saved:.1f}'}
 
     def _on_camera_info(self, data: bytes) -> None:
         """Learn the size of the image."""
-        try:
-            self._camera_size = read_image_size(data)
-        except WireError as error:
-            self._drop_unreadable(data, self._camera, error)
+        self._camera_size = read_image_size(data)
 
     def _on_message(self, data: bytes) -> None:
-        """Convert one message under one snapshot of the parameters, and publish what is wanted."""
+        """Convert a message under one snapshot of the parameters; publish what has subscribers."""
         started = time.perf_counter()
-        self._monitor.add('messages_received')
-        if not self._active:
-            self._monitor.add('messages_while_inactive')
-            return
-        settings = self._parameters_in_force.settings
-        try:
-            outcome = answer(data, self._input_type, settings, self._camera_size, self._answers)
-        except WireError as error:
-            self._drop_unreadable(data, self._detections, error)
-            return
-        self._monitor.counts.update(outcome.counts)
+        settings = self.parameters.settings
+        outcome = answer(data, self._input_type, settings, self._camera_size, self._answers)
+        self.monitor.counts.update(outcome.counts)
         if outcome.counts['messages_without_subscriber']:
             return
         for kind, text in outcome.complaints.items():
-            self._warn(kind, f'{self._detections.topic_name}: {text}')
-        self._monitor.took(time.perf_counter() - started)
+            self.reporter.warn(kind, f'{self._detections.topic_name}: {text}')
+        self.monitor.took(time.perf_counter() - started)

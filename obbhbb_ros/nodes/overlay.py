@@ -6,8 +6,6 @@ from __future__ import annotations
 import time
 from array import array
 from collections.abc import Callable
-from collections.abc import Mapping
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 from typing import TypeVar
@@ -23,7 +21,9 @@ from visualization_msgs.msg import ImageMarker
 from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.downlink.joiner import ZERO_STAMP
 from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.managed import message_type
+from obbhbb_ros.nodes.node_topics import TopicInput
+from obbhbb_ros.nodes.node_topics import message_type
+from obbhbb_ros.nodes.parts import steady_timer
 from obbhbb_ros.overlay.collector import LayerCollector
 from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.overlay.drawing import OverlayError
@@ -32,7 +32,6 @@ from obbhbb_ros.settings.common import IMAGES_KEPT
 from obbhbb_ros.settings.common import PLANS_KEPT
 from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.overlay import OverlaySettings
-from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image import read_image
@@ -42,9 +41,10 @@ from obbhbb_ros.wire.stamp import stamp_text
 
 Item = TypeVar('Item', WireImage, Detections)
 
-_IMAGE = 'image'
 # Seconds by which an image that misses a layer may be drawn late.
-_TICK = 0.1
+_DRAWING_PERIOD = 0.1
+# Seconds after which the first viewer is noticed. Not by `matched` events: see `doc/executor.md`.
+_VIEWER_PERIOD = 0.5
 # As `image_transport` writes it.
 _FORMAT = 'rgb8; jpeg compressed bgr8'
 
@@ -66,8 +66,6 @@ class Overlay(ManagedNode[OverlaySettings]):
     ------
     ValueError, rclpy.exceptions.ParameterException
         If the parameters given at start cannot be used.
-    StartError
-        If `autostart` is set and the node cannot be configured or activated.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -75,163 +73,146 @@ class Overlay(ManagedNode[OverlaySettings]):
             'overlay', OVERLAY, ('images_received', 'pictures_sent', 'bytes_sent'), **kwargs
         )
         self._collector = LayerCollector[WireImage, Detections](self._count_not_drawn)
-        self._subscriptions_by_kind: dict[str, Any] = {}
-        self._ticks: Any = None
-        self._autostart()
-
-    def _create_topics(self) -> None:
-        """Create the publishers; the first subscriber brings the subscriptions."""
-        # If Pillow is missing, fail here and not at the first picture.
-        import PIL.ImageDraw  # noqa: F401
-
         self._input_type = INPUT_TYPES[self.get_parameter('input_type').value]
-        self._pictures = self._output(
-            CompressedImage, 'overlay/compressed', on_matched=self._follow_viewers
-        )
-        self._markers = self._output(
-            ImageMarker, 'overlay/markers', on_matched=self._follow_viewers
-        )
+        self._pictures = self.topics.output(CompressedImage, 'overlay/compressed')
+        self._markers = self.topics.output(ImageMarker, 'overlay/markers')
         # Viewers that keep the last marker of a topic would show one layer of all.
         self._markers_of = {
-            layer: self._output(
-                ImageMarker, f'overlay/markers/{layer}', on_matched=self._follow_viewers
-            )
+            layer: self.topics.output(ImageMarker, f'overlay/markers/{layer}')
             for layer in LAYER_COLORS
         }
-
-    def _late_topics(self) -> Sequence[str]:
-        """List the inputs, to which the node subscribes only while it has subscribers."""
-        return [self.resolve_topic_name(topic) for _, _, topic, _, _ in self._layout_of_inputs()]
-
-    def _layout_of_inputs(self) -> Sequence[tuple[str, Any, str, ReliabilityPolicy, int]]:
-        """List kind, type, topic, reliability and depth of each input."""
-        detections = message_type(self._input_type)
-        reliable, any_reliability = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+        self._outputs = (self._pictures, self._markers, *self._markers_of.values())
         # As in the other nodes: a detector may publish with any reliability; everything else is
         # reliable, because the many pieces of a large image push small messages out of buffers.
-        return (
-            (_IMAGE, Image, 'image', reliable, IMAGES_KEPT),
-            ('detections', detections, self._input_type.topic, any_reliability, PLANS_KEPT),
-            ('boxes', Detection2DArray, 'boxes', reliable, PLANS_KEPT),
-            ('crop_regions', Detection2DArray, 'crop_regions', reliable, PLANS_KEPT),
+        reliable, any_reliability = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+        self._image_in = self.topics.input(
+            Image,
+            'image',
+            self._on_image,
+            'images_received',
+            reliable,
+            IMAGES_KEPT,
+            on_demand=True,
         )
+        self._layers_in = {
+            layer: self.topics.input(
+                kind,
+                topic,
+                partial(self._on_layer, layer),
+                f'layers_received.{layer}',
+                reliability,
+                PLANS_KEPT,
+                on_demand=True,
+            )
+            for layer, kind, topic, reliability in (
+                ('detections', self._input_type, self._input_type.topic, any_reliability),
+                ('boxes', Detection2DArray, 'boxes', reliable),
+                ('crop_regions', Detection2DArray, 'crop_regions', reliable),
+            )
+        }
+        self._viewer_timer: Any = None
+        self._drawing_timer: Any = None
+        self.reporter.add_facts(self._facts)
 
-    def _forget(self) -> None:
+    def configure(self) -> None:
+        """Start to look for viewers; the inputs are opened for the first one."""
+        # If Pillow or the detector's messages are missing, fail here and not at the first picture.
+        import PIL.ImageDraw  # noqa: F401
+
+        message_type(self._input_type)
+        self._viewer_timer = steady_timer(self, _VIEWER_PERIOD, self._follow_viewers)
+
+    def deactivate(self) -> None:
         """Drop the images and layers that wait for each other."""
         self._collector.clear()
 
-    def _release_inputs(self) -> None:
-        """Unsubscribe from everything, and stop the timer of the waiting images."""
-        super()._release_inputs()
-        self._subscriptions_by_kind = {}
-        if self._ticks is not None:
-            self.destroy_timer(self._ticks)
-            self._ticks = None
+    def cleanup(self) -> None:
+        """Stop looking for viewers."""
+        if self._viewer_timer is not None:
+            self.destroy_timer(self._viewer_timer)
+            self._viewer_timer = None
+        self._close_inputs()
 
     def _facts(self) -> dict[str, str]:
-        """Report what is waiting, and whether the node has subscribers."""
+        """Report what is waiting, and whether the node has viewers."""
+        if not self._image_in.is_open:
+            self.monitor.expect_input()
         return {
             'frames_waiting': str(len(self._collector)),
-            'watched': str(bool(self._inputs)).lower(),
+            'watched': str(self._image_in.is_open).lower(),
         }
 
-    def _silent_for(self, values: Mapping[str, Any]) -> float:
-        """Expect no input while the node has no subscribers."""
-        if not self._inputs:
-            self._monitor.expect_input()
-        return super()._silent_for(values)
+    def _follow_viewers(self) -> None:
+        """Keep the inputs open only while there are viewers."""
+        is_watched = any(output.wanted() for output in self._outputs)
+        if is_watched and not self._image_in.is_open:
+            for topic in (self._image_in, *self._layers_in.values()):
+                topic.open()
+            self._drawing_timer = steady_timer(self, _DRAWING_PERIOD, self._draw_what_is_ready)
+        elif self._image_in.is_open and not is_watched:
+            self._close_inputs()
+            self._collector.clear()
 
-    def _follow_viewers(self, _: object) -> None:
-        """Subscribe to the input only while the node has subscribers."""
-        watched = any(map(_wanted, self._outputs))
-        if watched and not self._inputs:
-            self._subscribe()
-        elif self._inputs and not watched:
-            self._release_inputs()
-            self._forget()
-
-    def _subscribe(self) -> None:
-        """Create the subscriptions."""
-        self._subscriptions_by_kind = {
-            kind: self._input(type_, topic, self._handler(kind), reliability, depth)
-            for kind, type_, topic, reliability, depth in self._layout_of_inputs()
-        }
-        self._ticks = self._every(_TICK, self._draw_what_is_ready)
-
-    def _handler(self, kind: str) -> Callable[[bytes], None]:
-        """Return what is called with each message of a kind."""
-        return self._on_image if kind == _IMAGE else partial(self._on_layer, kind)
+    def _close_inputs(self) -> None:
+        """Unsubscribe from everything."""
+        for topic in (self._image_in, *self._layers_in.values()):
+            topic.close()
+        if self._drawing_timer is not None:
+            self.destroy_timer(self._drawing_timer)
+            self._drawing_timer = None
 
     def _on_image(self, data: bytes) -> None:
         """Keep an image for its layers."""
-        self._monitor.add('images_received')
-        self._collect(_IMAGE, data, read_image, self._collector.add_image)
+        self._collect(self._image_in, read_image(data), self._collector.add_image)
 
     def _on_layer(self, layer: str, data: bytes) -> None:
         """Keep a layer for its image, if it is drawn."""
-        self._monitor.add(f'layers_received.{layer}')
-        if self._active and layer not in self._parameters_in_force.settings.frame.colors:
+        if layer not in self.parameters.settings.frame.colors:
             return
-        read = (
-            partial(Detections, input_type=self._input_type)
-            if layer == 'detections'
-            else Detections
+        detections = (
+            Detections(data, self._input_type) if layer == 'detections' else Detections(data)
         )
-        self._collect(layer, data, read, partial(self._collector.add_layer, layer))
+        add = partial(self._collector.add_layer, layer)
+        self._collect(self._layers_in[layer], detections, add)
 
     def _collect(
-        self,
-        kind: str,
-        data: bytes,
-        read: Callable[[bytes], Item],
-        add: Callable[[Stamp, Item, float], bool],
+        self, topic: TopicInput, item: Item, add: Callable[[Stamp, Item, float], bool]
     ) -> None:
-        """Read a message and add it to the collector, and draw what it makes ready."""
-        if not self._active:
-            self._monitor.add('messages_while_inactive')
-            return
-        subscription = self._subscriptions_by_kind[kind]
-        try:
-            item = read(data)
-        except WireError as error:
-            self._drop_unreadable(data, subscription, error)
-            return
+        """Add a message to the collector, and draw what it makes ready."""
         if item.stamp == ZERO_STAMP:
-            self._monitor.add('messages_without_stamp')
-            self._warn(
-                f'{kind} without stamp',
-                f'dropped a message on {subscription.topic_name}: its stamp is zero',
+            self.monitor.add('messages_without_stamp')
+            self.reporter.warn(
+                f'no stamp on {topic.topic_name}',
+                f'dropped a message on {topic.topic_name}: its stamp is zero',
             )
             return
         if not add(item.stamp, item, time.monotonic()):
-            self._monitor.add('messages_repeated')
+            self.monitor.add('messages_repeated')
         self._draw_what_is_ready()
 
     def _draw_what_is_ready(self) -> None:
         """Draw the images that are complete, or have waited long enough."""
-        settings = self._parameters_in_force.settings
+        settings = self.parameters.settings
         awaited = {
-            layer
-            for layer in settings.frame.colors
-            if self._subscriptions_by_kind[layer].get_publisher_count()
+            layer for layer in settings.frame.colors if self._layers_in[layer].has_publisher()
         }
         for image, layers in self._collector.ready(awaited, time.monotonic(), settings.limits):
             started = time.perf_counter()
             self._draw(OverlayFrame(image, layers, settings.frame), settings, awaited)
-            self._monitor.took(time.perf_counter() - started)
+            self.monitor.took(time.perf_counter() - started)
 
     def _draw(self, frame: OverlayFrame, settings: OverlaySettings, awaited: set[str]) -> None:
         """Publish the markers and the picture of an image that have a subscriber."""
-        self._monitor.add('frames_drawn')
-        self._monitor.add('boxes_not_drawn', frame.boxes_not_drawn)
+        self.monitor.add('frames_drawn')
+        self.monitor.add('boxes_not_drawn', frame.boxes_not_drawn)
         self._report_missing(frame, awaited)
         for layer in settings.frame.colors:
-            publishers = [p for p in (self._markers, self._markers_of[layer]) if _wanted(p)]
+            publishers = [p for p in (self._markers, self._markers_of[layer]) if p.wanted()]
             marker = frame.marker(layer) if publishers else b''
             for publisher in publishers:
                 publisher.publish(marker)
-                self._monitor.add('markers_sent')
-        if _wanted(self._pictures):
+                self.monitor.add('markers_sent')
+        if self._pictures.wanted():
             self._send_picture(frame)
 
     def _send_picture(self, frame: OverlayFrame) -> None:
@@ -240,10 +221,10 @@ class Overlay(ManagedNode[OverlaySettings]):
         try:
             picture = frame.picture()
         except (OverlayError, MemoryError) as error:
-            self._monitor.add('images_refused')
-            self._warn(
+            self.monitor.add('images_refused')
+            self.reporter.warn(
                 'image refused',
-                f'no picture of the image on {self._subscriptions_by_kind[_IMAGE].topic_name} at '
+                f'no picture of the image on {self._image_in.topic_name} at '
                 f'stamp {stamp_text(image.stamp)}: {error}',
             )
             return
@@ -252,17 +233,17 @@ class Overlay(ManagedNode[OverlaySettings]):
         self._pictures.publish(
             CompressedImage(header=header, format=_FORMAT, data=array('B', picture.data))
         )
-        self._monitor.add('pictures_sent')
-        self._monitor.add('bytes_sent', len(picture.data))
-        self._monitor.add('labels_left_out', picture.labels_left_out)
+        self.monitor.add('pictures_sent')
+        self.monitor.add('bytes_sent', len(picture.data))
+        self.monitor.add('labels_left_out', picture.labels_left_out)
 
     def _report_missing(self, frame: OverlayFrame, awaited: set[str]) -> None:
         """Count the layers that did not come although they have a publisher."""
         missing = [layer for layer in frame.missing if layer in awaited]
         for layer in missing:
-            self._monitor.add(f'layers_missing.{layer}')
+            self.monitor.add(f'layers_missing.{layer}')
         if missing:
-            self._warn(
+            self.reporter.warn(
                 'layers missing',
                 f'drew the image at stamp {stamp_text(frame.image.stamp)} without '
                 f'{", ".join(missing)}: none with its stamp arrived within max_wait',
@@ -270,9 +251,4 @@ class Overlay(ManagedNode[OverlaySettings]):
 
     def _count_not_drawn(self, reason: NotDrawn) -> None:
         """Count an image that is not drawn."""
-        self._monitor.add(f'frames_dropped.{reason.value}')
-
-
-def _wanted(publisher: Any) -> bool:
-    """Return whether a topic has a subscriber."""
-    return bool(publisher.get_subscription_count())
+        self.monitor.add(f'frames_dropped.{reason.value}')

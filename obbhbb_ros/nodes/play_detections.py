@@ -42,7 +42,7 @@ from obbhbb_ros.labels.image_files import load_image
 from obbhbb_ros.labels.image_labels import BowSource
 from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.live_parameters import LiveParameters
-from obbhbb_ros.nodes.managed import message_type
+from obbhbb_ros.nodes.node_topics import message_type
 from obbhbb_ros.settings.play_detections import PLAY_DETECTIONS
 from obbhbb_ros.settings.play_detections import PlayerSettings
 from obbhbb_ros.wire.layouts import INPUT_TYPES

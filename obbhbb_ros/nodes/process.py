@@ -19,27 +19,29 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from obbhbb_ros.errors import StartError
 from obbhbb_ros.nodes.executor import ExpressExecutor
 from obbhbb_ros.nodes.executor import UnknownRclpyError
-from obbhbb_ros.nodes.last_run import RunRecord
 from obbhbb_ros.nodes.stop import RUNNING
 from obbhbb_ros.nodes.stop import STARTING
 from obbhbb_ros.nodes.stop import Stop
-from obbhbb_ros.nodes.watchdog import Watchdog
+from obbhbb_ros.nodes.supervision import Supervision
+from obbhbb_ros.nodes.supervision import start
 
-_LONGEST_WAIT = 1.0
-
-
-class StartError(RuntimeError):
-    """A node cannot start; the text says why."""
-
-
+# The stock executor does not return when it is only woken, and the watchdog has to tell an idle
+# executor from a blocked one.
+_MAX_WAIT = 1.0
 _REASONS = (ParameterException, StartError, ValueError, OSError)
 
 
-def run(make_node: Callable[[], Node], stop: Stop, args: Sequence[str] | None = None) -> int:
+def run(
+    make_node: Callable[[], Node],
+    stop: Stop,
+    args: Sequence[str] | None = None,
+    make_executor: Callable[[Node], Executor] | None = None,
+) -> int:
     """
-    Run a node until SIGINT, SIGTERM or a shutdown.
+    Run a node until SIGINT, SIGTERM or a shutdown of its context.
 
     Parameters
     ----------
@@ -49,49 +51,48 @@ def run(make_node: Callable[[], Node], stop: Stop, args: Sequence[str] | None = 
         Receives SIGINT and SIGTERM.
     args : sequence of str, optional
         Command line, `sys.argv` by default.
+    make_executor : callable, optional
+        Makes the executor of the node; `executor_for` by default.
 
     Returns
     -------
     int
-        Exit code: 0 after SIGINT, SIGTERM or a shutdown of the context, 1 if the node cannot
-        start.
+        Exit code: 0 after SIGINT, SIGTERM or a shutdown, 1 if the node cannot start.
     """
     stop.patience = STARTING
     never_wait_to_log()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        # What stands behind --ros-args cannot be used.
+        # The arguments after --ros-args cannot be used.
         print(f'cannot start: {error}', file=sys.stderr)
         return 1
     try:
         node = make_node()
+        supervision = start(node)
     except _REASONS as error:
         rclpy.try_shutdown()
         print(f'cannot start: {error}', file=sys.stderr)
         return 1
-    # The player has none.
-    record: RunRecord = getattr(node, 'record', None) or RunRecord()
-    stop.on_leaving = record.end
+    state_file = supervision.state_file
+    stop.on_leaving = state_file.end
     stop.patience = RUNNING
     try:
-        _live(node, stop)
+        _run_to_the_end((make_executor or executor_for)(node), node, stop, supervision)
     except BaseException as error:
-        record.end(f'{type(error).__name__}: {error}')
+        state_file.end(f'{type(error).__name__}: {error}')
         raise
-    record.end(stop.name or 'shutdown', asked=True)
+    state_file.end(stop.name or 'shutdown', asked=True)
     return 0
 
 
-def _live(node: Node, stop: Stop) -> None:
+def _run_to_the_end(executor: Executor, node: Node, stop: Stop, supervision: Supervision) -> None:
     """Spin a node until asked to stop, then destroy it."""
-    executor = executor_for(node)
-    watchdog: Watchdog = getattr(node, 'watchdog', None) or Watchdog()
     stop.wake_by(executor.wake)
     try:
-        spin(executor, node, stop, watchdog)
+        spin(executor, node, stop, supervision)
     finally:
-        watchdog.stop()
+        supervision.watchdog.stop()
         stop.wake_by(None)
         executor.shutdown()
         node.destroy_node()
@@ -100,25 +101,25 @@ def _live(node: Node, stop: Stop) -> None:
 
 def never_wait_to_log() -> None:
     """
-    Have standard output and error lose what they cannot take, instead of waiting for a reader.
+    Make standard output and error drop lines instead of waiting for a reader.
 
-    A pipe that nobody reads any more fills up, and the next line would stop the node for good. The
-    lines are on /rosout and in the log file all the same.
+    A pipe that nobody reads fills up, and the next line would block the node for good. The lines
+    are on /rosout and in the log file as well.
     """
     for number, stream in ((1, sys.stdout), (2, sys.stderr)):
-        # Closed at start: the number is that of another file by now. And a file has no reader to
-        # wait for.
+        # A stream that was closed at start: by now its number belongs to another file. A regular
+        # file never blocks.
         mode = stat.S_IFREG if stream is None else os.fstat(number).st_mode
         if stat.S_ISSOCK(mode):
-            # journald's for one; it cannot be opened anew.
+            # A socket, such as that of journald, cannot be opened a second time.
             os.set_blocking(number, False)
         elif stat.S_ISFIFO(mode) or stat.S_ISCHR(mode):
-            # Opened anew: the flag belongs to an open file, and this one is others' too.
+            # Opened a second time, because other processes share the flags of the first.
             flags = os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY
             with suppress(OSError):
-                ours = os.open(f'/proc/self/fd/{number}', flags)
-                os.dup2(ours, number)
-                os.close(ours)
+                descriptor = os.open(f'/proc/self/fd/{number}', flags)
+                os.dup2(descriptor, number)
+                os.close(descriptor)
 
 
 def executor_for(node: Node) -> Executor:
@@ -132,17 +133,15 @@ def executor_for(node: Node) -> Executor:
     return executor
 
 
-def spin(executor: Executor, node: Node, stop: Stop, watchdog: Watchdog) -> None:
-    """Spin until asked to stop; errors in callbacks are logged and survived."""
-    # What lives by now lives to the end: a collection that looks through all of it takes 18 ms.
+def spin(executor: Executor, node: Node, stop: Stop, supervision: Supervision) -> None:
+    """Spin until asked to stop; an error in a callback is logged, and the node goes on."""
+    # A collection takes 18 ms if it looks through the modules, which live until the end.
     gc.collect()
     gc.freeze()
     while not stop.requested and node.context.ok():
-        watchdog.turns += 1
+        supervision.watchdog.turns += 1
         try:
-            # The stock executor does not return when it is only woken, and the watchdog has to tell
-            # an idle one from a stuck one.
-            executor.spin_once(timeout_sec=_LONGEST_WAIT)
+            executor.spin_once(timeout_sec=_MAX_WAIT)
         except ExternalShutdownException:
             return
         except Exception as error:

@@ -422,8 +422,12 @@ def test_every_reason_in_the_diagnostics_is_explained(node, mark, reasons) -> No
 
 @pytest.mark.parametrize('node', MANAGED)
 def test_a_key_of_the_diagnostics_that_is_explained_exists(node: str) -> None:
-    page = text_of(ROOT / 'doc' / f'{node}.md')
-    keys = named_in(page, '<!-- keys of /diagnostics -->')
+    keys = [
+        key
+        for page in (node, 'nodes')
+        for key in named_in(text_of(ROOT / 'doc' / f'{page}.md'), '<!-- keys of /diagnostics -->')
+    ]
+    # Each key is explained once.
     assert len(keys) == len(set(keys)) > 15
     for key in keys:
         if not PLACEHOLDER.search(key):

@@ -139,7 +139,7 @@ def test_silence_is_an_error_and_then_stale_until_input_comes(
         lambda: any(each.status[0].level == DiagnosticStatus.OK for each in node.reports()),
         'the end of the silence',
     )
-    assert 'no longer without input' in node.process.log
+    assert 'input is back' in node.process.log
 
 
 def test_no_input_is_expected_while_inactive_or_without_a_timeout(
@@ -164,7 +164,7 @@ def test_a_silent_node_that_is_deactivated_does_not_say_that_input_is_back(
     node.wait(lambda: node.next_report().level == DiagnosticStatus.ERROR, 'an error')
     assert node.change_state(Transition.TRANSITION_DEACTIVATE)
     node.wait(lambda: node.next_report().level == DiagnosticStatus.OK, 'no more of it')
-    assert 'no longer without input' not in node.process.log
+    assert 'input is back' not in node.process.log
 
 
 def test_diagnostics_come_while_a_simulated_clock_stands_still(

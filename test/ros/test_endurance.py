@@ -19,6 +19,8 @@ TEST = Path(__file__).parents[1]
         'fuzz/inputs.py --inputs 20',
         'soak/node.py --minutes 0.05',
         'soak/chain.py --minutes 0.05 --rate 4 --detections 20',
+        'soak/cycles.py --cycles 2',
+        'soak/overload.py --seconds 2',
         'benchmarks/spool.py --chips 200 --seconds 0.5',
         'benchmarks/node.py --sizes 1 --rounds 1',
     ],

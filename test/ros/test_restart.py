@@ -31,10 +31,11 @@ from harness import values_of
 from ships import detections
 from ships import fleet
 
+from obbhbb_ros.nodes.last_run import LastRun
 from obbhbb_ros.nodes.last_run import Run
-from obbhbb_ros.nodes.last_run import RunRecord
-from obbhbb_ros.nodes.last_run import end_of
+from obbhbb_ros.nodes.last_run import last_run
 from obbhbb_ros.nodes.last_run import read_run
+from obbhbb_ros.nodes.state_file import StateFile
 
 # What it tests depends on rclpy, which is the same in all environments.
 pytestmark = pytest.mark.once
@@ -162,9 +163,11 @@ def test_every_managed_node_tells_of_its_last_run(
 
 STUCK_AT_THE_END = """
 import sys, time
-from obbhbb_ros.nodes import stop, process
+from obbhbb_ros.nodes import stop
+# Before libraries start threads, as the executables do.
 halt = stop.Stop()
-stop.RUNNING = process.RUNNING = 1.5
+stop.RUNNING = 1.5
+from obbhbb_ros.nodes import process
 from obbhbb_ros.nodes.obb_to_hbb import ObbToHbb
 ObbToHbb.destroy_node = lambda self: time.sleep(1_000_000)
 sys.exit(process.run(ObbToHbb, halt))
@@ -259,71 +262,90 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize('data', DAMAGED.values(), ids=DAMAGED)
-def test_a_damaged_file_is_told_from_a_good_one(data: bytes) -> None:
+def test_a_damaged_file_is_not_taken_for_a_good_one(data: bytes) -> None:
     with pytest.raises(ValueError, match='not the state of a run'):
         read_run(data)
     assert read_run(json.dumps(asdict(RUN)).encode()) == RUN
 
 
 @pytest.mark.parametrize(
-    ('run', 'stacks', 'boot', 'end'),
+    ('run', 'stacks', 'boot', 'ended', 'restarts'),
     [
-        (RUN, '', 'b', ('killed: SIGKILL, or out of memory', False)),
-        (RUN, '', 'c', ('the machine was restarted: a power cut or a reset', False)),
-        (RUN, 'Fatal Python error: Aborted\n\n', 'b', ('crashed: Aborted (SIGABRT)', False)),
-        (RUN, 'Timeout (0:00:04)!\n', 'b', ('watchdog: stuck outside Python', False)),
-        (replace(RUN, ended='SIGINT', asked=True), '', 'c', ('SIGINT', True)),
-        (replace(RUN, ended='OSError: x'), '', 'b', ('OSError: x', False)),
+        (RUN, '', 'b', 'killed: SIGKILL, or out of memory', 3),
+        (RUN, '', 'c', 'the machine was restarted: a power cut or a reset', 3),
+        (RUN, 'Fatal Python error: Aborted\n\n', 'b', 'crashed: Aborted (SIGABRT)', 3),
+        (RUN, 'Timeout (0:00:04)!\n', 'b', 'watchdog: stuck outside Python', 3),
+        (replace(RUN, ended='SIGINT', asked=True), '', 'c', 'SIGINT', 0),
+        (replace(RUN, ended='OSError: x'), '', 'b', 'OSError: x', 3),
         (
             replace(RUN, ended='SIGINT', asked=True),
             'Fatal Python error: Bus error\n',
             'b',
-            ('crashed: Bus error (SIGBUS)', False),
+            'crashed: Bus error (SIGBUS)',
+            3,
         ),
     ],
 )
-def test_the_end_of_a_run_is_found_out(
-    run: Run, stacks: str, boot: str, end: tuple[str, bool]
+def test_the_next_run_finds_out_how_the_last_one_ended(
+    run: Run, stacks: str, boot: str, ended: str, restarts: int
 ) -> None:
-    assert end_of(run, stacks, boot) == end
+    assert last_run(run, stacks, boot) == LastRun(ended, restarts, stacks, run)
+
+
+def test_the_last_run_is_reported_in_plain_words() -> None:
+    killed = last_run(RUN, '', 'b')
+    assert killed.warning == (
+        'restart 3 in a row; end of the last run: killed: SIGKILL, or out of memory'
+    )
+    assert killed.facts() == {
+        'restarts': '3',
+        'last_run.messages': '3',
+        'last_run.pid': '7',
+        'last_run.started': '2030-01-01',
+        'last_run.written': '2030-01-02',
+        'last_run.state': 'active',
+        'last_run.ended': 'killed: SIGKILL, or out of memory',
+    }
+    assert last_run(replace(RUN, ended='SIGINT', asked=True), '', 'b').warning == ''
+    assert (LastRun().warning, LastRun().facts()) == ('', {'restarts': '0'})
 
 
 @pytest.mark.parametrize(
     'path',
     ['/', '.', 'n.json', '/dev/null', '/dev/null/x', '/a\0b', '/proc/x', '~nobody_of_that_name/n'],
 )
-def test_a_path_that_cannot_be_a_file_is_told(path: str) -> None:
-    told: list[str] = []
-    record = RunRecord(path, '/n', {}, told.append)
-    record.note('active')
-    record.end('SIGINT', asked=True)
-    (text,) = told
+def test_a_path_that_cannot_be_a_file_is_reported(path: str) -> None:
+    warnings: list[str] = []
+    state_file = StateFile(path, '/n', {}, warnings.append)
+    state_file.begin('active')
+    state_file.end('SIGINT', asked=True)
+    (text,) = warnings
     assert text.startswith(f'state.path: {path}: ')
-    assert not record.is_kept
+    assert not state_file.is_kept
 
 
 def test_a_file_of_another_kind_is_not_replaced(tmp_path: Path) -> None:
     file = tmp_path / 'flight.yaml'
     file.write_text('overlay: {ros__parameters: {}}')
-    told: list[str] = []
-    record = RunRecord(str(file), '/n', {}, told.append)
-    record.note('active')
-    record.end('SIGINT', asked=True)
+    warnings: list[str] = []
+    state_file = StateFile(str(file), '/n', {}, warnings.append)
+    state_file.begin('active')
+    state_file.end('SIGINT', asked=True)
     assert file.read_text() == 'overlay: {ros__parameters: {}}'
-    assert told == [f'state.path: {file}: it holds something else; nothing is kept of this run']
-    assert record.restart == ''
-    assert not record.is_kept
+    assert warnings == [f'state.path: {file}: not a state file; this run keeps no state file']
+    assert state_file.last_run.warning == ''
+    assert not state_file.is_kept
 
 
 DYING = """
 import os, sys
-from obbhbb_ros.nodes.last_run import RunRecord
-record = RunRecord(sys.argv[1], '/n', {}, print)
+from obbhbb_ros.nodes.state_file import StateFile
+state_file = StateFile(sys.argv[1], '/n', {}, print)
 if 'start' in sys.argv:
-    record.note('active')
+    state_file.begin('active')
 if 'crash' in sys.argv:
     os.kill(os.getpid(), 11)
-print(record.restart)
+print(state_file.last_run.warning)
 """
 
 

@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The topics of a managed node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
+from rclpy.qos import QoSProfile
+from rclpy.qos import ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from obbhbb_ros.nodes.parts import Part
+from obbhbb_ros.nodes.reporter import Reporter
+from obbhbb_ros.wire.buffer import WireError
+from obbhbb_ros.wire.layouts import InputType
+
+OVERRIDE_PREFIX = 'qos_overrides.'
+_DEPTH = 10
+
+
+def message_type(input_type: InputType) -> Any:
+    """
+    Return the message class of an input type.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If the package that defines it is not installed.
+    """
+    try:
+        return getattr(import_module(f'{input_type.package}.msg'), input_type.name)
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            f'{input_type.name} needs the ROS package {input_type.package}: install and source it '
+            f'({error})'
+        ) from None
+
+
+class TopicOutput:
+    """
+    A topic that a node publishes on; made by `NodeTopics.output`.
+
+    Attributes
+    ----------
+    publish : callable
+        Publishes a message or its bytes, while the topic is open.
+    """
+
+    publish: Callable[[Any], None]
+
+    def __init__(self, node: Node, kind: Any, topic: str, depth: int) -> None:
+        self._node, self._kind, self._topic = node, kind, topic
+        self._qos = QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
+        self._publisher: Any = None
+
+    def open(self) -> None:
+        """Create the publisher."""
+        self._publisher = self._node.create_publisher(
+            self._kind,
+            self._topic,
+            self._qos,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        self.publish = self._publisher.publish
+
+    def close(self) -> None:
+        """Destroy the publisher."""
+        if self._publisher is not None:
+            self._node.destroy_publisher(self._publisher)
+            self._publisher = None
+
+    def wanted(self) -> bool:
+        """Return whether the topic has a subscriber."""
+        return self._publisher is not None and self._publisher.get_subscription_count() > 0
+
+
+class TopicInput:
+    """
+    A topic that a node subscribes to, for the bytes of its messages; made by `NodeTopics.input`.
+
+    It counts messages that arrive while the node is inactive or that cannot be read, and messages
+    that the middleware lost.
+    """
+
+    def __init__(
+        self,
+        topics: NodeTopics,
+        kind: Any,
+        topic: str,
+        callback: Callable[[bytes], object],
+        counter: str,
+        qos: QoSProfile,
+    ) -> None:
+        self._topics, self._reporter, self._node = topics, topics.reporter, topics.node
+        self._kind, self._topic, self._callback, self._qos = kind, topic, callback, qos
+        self._counter = counter
+        self._subscription: Any = None
+
+    @property
+    def topic_name(self) -> str:
+        """Name of the topic after namespace and remaps."""
+        name: str = self._node.resolve_topic_name(self._topic)
+        return name
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the node is subscribed."""
+        return self._subscription is not None
+
+    def open(self) -> None:
+        """Subscribe."""
+        kind = message_type(self._kind) if isinstance(self._kind, InputType) else self._kind
+        self._subscription = self._node.create_subscription(
+            kind,
+            self._topic,
+            self._receive_when_active if self._counter else self._receive,
+            self._qos,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_message_lost),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+    def has_publisher(self) -> bool:
+        """Return whether the topic has a publisher that matches."""
+        return self.is_open and self._subscription.get_publisher_count() > 0
+
+    def _receive_when_active(self, data: bytes) -> None:
+        """Count a message, and handle it if the node is active."""
+        counts = self._reporter.monitor.counts
+        counts[self._counter] += 1
+        if self._topics.is_active:
+            self._receive(data)
+        else:
+            counts['messages_while_inactive'] += 1
+
+    def _receive(self, data: bytes) -> None:
+        """Handle a message; count and report it if it cannot be read."""
+        try:
+            self._callback(data)
+        except WireError as error:
+            self._reporter.monitor.counts['messages_unreadable'] += 1
+            self._reporter.warn(
+                'unreadable message',
+                f'dropped a message of {len(data)} bytes on {self.topic_name}, it cannot be '
+                f'read as {self._kind_name}: {error}',
+            )
+
+    @property
+    def _kind_name(self) -> str:
+        """Name of the message type."""
+        return self._kind.name if isinstance(self._kind, InputType) else self._kind.__name__
+
+    def _on_message_lost(self, status: Any) -> None:
+        """Count messages that the middleware lost, and say how to avoid it."""
+        self._reporter.monitor.counts['messages_lost'] += status.total_count_change
+        topic = self.topic_name
+        self._reporter.warn(
+            f'messages lost on {topic}',
+            f'the middleware lost {status.total_count_change} messages on {topic}, '
+            f'{status.total_count} in all: messages over 0.5 MB need the DDS profile '
+            'config/fastdds_large.xml at both ends, or '
+            f'qos_overrides.{topic}.subscription.reliability: reliable',
+        )
+
+
+class NodeTopics(Part):
+    """
+    The inputs and outputs of a node, open from `configure` to `cleanup`.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    reporter : Reporter
+        Counts messages and receives warnings.
+    overrides : sequence of str
+        Names of the QoS overrides from YAML files and the command line.
+
+    Attributes
+    ----------
+    is_active : bool
+        Whether the node is active.
+    """
+
+    def __init__(self, node: Node, reporter: Reporter, overrides: Sequence[str]) -> None:
+        self.node, self.reporter, self.is_active = node, reporter, False
+        self._overrides = overrides
+        self._outputs: list[TopicOutput] = []
+        self._inputs: list[TopicInput] = []
+        self._on_demand: list[TopicInput] = []
+
+    def output(self, kind: Any, topic: str, depth: int = _DEPTH) -> TopicOutput:
+        """Add a topic to publish on, given its message class."""
+        output = TopicOutput(self.node, kind, topic, depth)
+        self._outputs.append(output)
+        return output
+
+    def input(
+        self,
+        kind: Any,
+        topic: str,
+        callback: Callable[[bytes], object],
+        counter: str = '',
+        reliability: ReliabilityPolicy = ReliabilityPolicy.BEST_EFFORT,
+        depth: int = _DEPTH,
+        durability: DurabilityPolicy = DurabilityPolicy.VOLATILE,
+        on_demand: bool = False,
+    ) -> TopicInput:
+        """
+        Add a topic to subscribe to; by default from publishers of any reliability.
+
+        If several inputs have messages, they are served in the order in which they were added.
+
+        Parameters
+        ----------
+        kind : type or InputType
+            The message class, or an input type whose package is imported by `configure`.
+        topic : str
+            The topic.
+        callback : callable
+            Handles the bytes of a message; may raise WireError.
+        counter : str
+            Counts the messages. They are handled only while the node is active; without a counter,
+            always.
+        reliability, depth, durability
+            The default quality of service.
+        on_demand : bool
+            Whether the node itself opens the input, instead of `configure`.
+
+        Returns
+        -------
+        TopicInput
+            The topic.
+        """
+        qos = QoSProfile(depth=depth, reliability=reliability, durability=durability)
+        topic_input = TopicInput(self, kind, topic, callback, counter, qos)
+        (self._on_demand if on_demand else self._inputs).append(topic_input)
+        return topic_input
+
+    def configure(self) -> None:
+        """Create publishers and subscriptions."""
+        for output in self._outputs:
+            output.open()
+        for topic in self._inputs:
+            topic.open()
+        self._warn_of_unused_overrides()
+
+    def activate(self) -> None:
+        """Hand messages to the node."""
+        self.is_active = True
+
+    def deactivate(self) -> None:
+        """Count messages and drop them."""
+        self.is_active = False
+
+    def cleanup(self) -> None:
+        """Destroy subscriptions and publishers."""
+        for topic in (*self._on_demand, *self._inputs):
+            topic.close()
+        for output in self._outputs:
+            output.close()
+
+    def _warn_of_unused_overrides(self) -> None:
+        """Warn of QoS overrides that match no topic, or no policy that can be overridden."""
+        # rclpy declares their parameters when the input is opened.
+        later = tuple(f'{OVERRIDE_PREFIX}{topic.topic_name}.' for topic in self._on_demand)
+        unused = [
+            name
+            for name in self._overrides
+            if not name.startswith(later) and not self.node.has_parameter(name)
+        ]
+        if unused:
+            self.node.get_logger().warning(
+                'ignored, no such topic (after namespace and remaps) or policy: '
+                + ', '.join(unused)
+            )

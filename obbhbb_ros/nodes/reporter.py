@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a managed node tells its operator: diagnostics once a second, and warnings."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from collections.abc import Mapping
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import KeyValue
+from rclpy.lifecycle import LifecycleNode
+
+from obbhbb_ros.nodes import internals
+from obbhbb_ros.nodes.monitor import Monitor
+from obbhbb_ros.nodes.parts import Part
+from obbhbb_ros.nodes.parts import steady_timer
+from obbhbb_ros.settings.common import HARDWARE_ID
+from obbhbb_ros.settings.common import INPUT_TIMEOUT
+
+PERIOD = 1.0
+"""Time between two diagnostics messages, seconds."""
+
+_WARNING_PERIOD = 5.0
+# Without input, the level is ERROR after the input timeout, and STALE after so many of them.
+_STALE_AFTER = 3.0
+
+
+class Reporter(Part):
+    """
+    Publishes the state, counters, rates, latencies and parameters of a node, and warns.
+
+    Parameters
+    ----------
+    node : LifecycleNode
+        The node.
+    monitor : Monitor
+        Its counters.
+    parameters : callable
+        Returns its parameter values by name.
+    """
+
+    def __init__(
+        self, node: LifecycleNode, monitor: Monitor, parameters: Callable[[], Mapping[str, Any]]
+    ) -> None:
+        self.monitor = monitor
+        self._node, self._log, self._parameters = node, node.get_logger(), parameters
+        self._facts: list[Callable[[], Mapping[str, str]]] = []
+        self._trouble = ''
+        self._reminder, self._reminders_left = '', 0
+        self._quiet_until: dict[str, float] = {}
+        self._is_active = self._is_silent = False
+        self._publisher: Any = None
+        self._timer: Any = None
+
+    def add_facts(self, facts: Callable[[], Mapping[str, str]]) -> None:
+        """Report what a function returns, besides counters, rates and parameters."""
+        self._facts.append(facts)
+
+    def warn(self, kind: str, text: str) -> None:
+        """Warn in the next diagnostics and in the log, there at most every 5 s for each kind."""
+        self._trouble = text
+        now = time.monotonic()
+        if now >= self._quiet_until.get(kind, now):
+            self._quiet_until[kind] = now + _WARNING_PERIOD
+            self._log.warning(text)
+
+    def remind(self, text: str, reports: int) -> None:
+        """Warn in the next reports that have nothing else to warn of."""
+        self._reminder, self._reminders_left = text, reports
+
+    def configure(self) -> None:
+        """Start to publish diagnostics."""
+        self._publisher = self._node.create_publisher(DiagnosticArray, '/diagnostics', 1)
+        self._timer = steady_timer(self._node, PERIOD, self._publish)
+
+    def activate(self) -> None:
+        """Expect input."""
+        self._is_active = True
+        self.monitor.expect_input()
+
+    def deactivate(self) -> None:
+        """Expect no input."""
+        self._is_active = False
+
+    def cleanup(self) -> None:
+        """Stop publishing diagnostics."""
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+        if self._publisher is not None:
+            self._node.destroy_publisher(self._publisher)
+        self._publisher = self._timer = None
+
+    def _publish(self) -> None:
+        """Publish the report of the period that ends now."""
+        state, parameters = internals.state_label(self._node), self._parameters()
+        facts = [facts() for facts in self._facts]
+        name = self._node.get_fully_qualified_name()
+        values = {'state': state}
+        values.update({key: str(count) for key, count in sorted(self.monitor.counts.items())})
+        for mapping in facts:
+            values.update(mapping)
+        values.update(self.monitor.rate_values())
+        values.update(self.monitor.latency_values())
+        values.update({f'parameter.{key}': str(value) for key, value in parameters.items()})
+        level, message = self._summary(state, parameters.get(INPUT_TIMEOUT.name, 0.0))
+        status = DiagnosticStatus(
+            level=level,
+            name=name.lstrip('/'),
+            message=message,
+            hardware_id=parameters[HARDWARE_ID.name] or name,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+
+    def _summary(self, state: str, input_timeout: float) -> tuple[bytes, str]:
+        """Return level and message of a report: silence, or else trouble, or else the state."""
+        trouble, self._trouble = self._trouble, ''
+        if self._reminders_left:
+            self._reminders_left -= 1
+            trouble = trouble or self._reminder
+        silence = self.monitor.silence()
+        if self._notice_silence(silence, input_timeout):
+            is_stale = silence > _STALE_AFTER * input_timeout
+            level = DiagnosticStatus.STALE if is_stale else DiagnosticStatus.ERROR
+            return level, f'no input for {silence:.0f} s'
+        return (DiagnosticStatus.WARN, trouble) if trouble else (DiagnosticStatus.OK, state)
+
+    def _notice_silence(self, silence: float, timeout: float) -> bool:
+        """Return whether the node has had no input for too long; log when that begins and ends."""
+        is_silent = bool(self._is_active and timeout and silence > timeout)
+        if is_silent != self._is_silent:
+            self._is_silent = is_silent
+            if is_silent:
+                self._log.error(f'no input for {silence:.0f} s, see input_timeout')
+            elif self._is_active and timeout:
+                self._log.info('input is back')
+        return is_silent
