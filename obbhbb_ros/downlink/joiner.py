@@ -16,6 +16,9 @@ from enum import Enum
 from typing import Generic
 from typing import TypeVar
 
+from obbhbb_ros.limits import Range
+from obbhbb_ros.limits import check_settings
+from obbhbb_ros.limits import setting
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import nanoseconds_of
 
@@ -27,6 +30,10 @@ PlanT = TypeVar('PlanT')
 ZERO_STAMP: Stamp = (0, 0)
 """No stamp at all: a header that nobody filled in."""
 
+# During a stall the middleware keeps this much, 1.6 s of images at 10 Hz, and then delivers it at
+# once, images and plans in any order: the caches hold as much.
+IMAGES_KEPT = 16
+PLANS_KEPT = 100
 _MAX_JOINED = 1000
 
 
@@ -124,29 +131,31 @@ class StampCache(Generic[Item]):
 
 
 @dataclass(frozen=True)
-class PartLimits:
-    """How many items of one kind may wait, and for how many seconds from their arrival."""
-
-    max_count: int
-    max_age: float
-
-
-@dataclass(frozen=True)
 class PairLimits:
-    """
-    How images and crop plans may wait for each other.
+    """How images and crop plans wait for each other; ValueError if a value is out of range."""
 
-    Attributes
-    ----------
-    images, plans : PartLimits
-        Limits of what waits; the oldest is dropped first.
-    slop : float
-        Maximum difference between the stamps of a pair, seconds (0: stamps are equal).
-    """
+    images: int = setting(
+        IMAGES_KEPT,
+        'Maximum images that wait for their crop plan; the oldest is dropped first.',
+        Range(1, 1000),
+    )
+    regions: int = setting(
+        PLANS_KEPT,
+        'Maximum crop plans that wait for their image; the oldest is dropped first.',
+        Range(1, 100_000),
+    )
+    max_age: float = setting(
+        2.0, 'How long images and crop plans wait for each other, seconds.', Range(0.0, 3600.0)
+    )
+    slop: float = setting(
+        0.0,
+        'Maximum difference between the stamps of an image and its crop plan, seconds.',
+        Range(0.0, 3600.0),
+    )
 
-    images: PartLimits
-    plans: PartLimits
-    slop: float = 0.0
+    def __post_init__(self) -> None:
+        """Check every value."""
+        check_settings(self)
 
 
 class JoinerSide(Generic[Item]):
@@ -217,7 +226,7 @@ class PairJoiner(Generic[ImageT, PlanT]):
     Examples
     --------
     >>> joiner = PairJoiner(JoinerSide(print, print), JoinerSide(print, print))
-    >>> limits = PairLimits(PartLimits(10, 1.0), PartLimits(10, 1.0))
+    >>> limits = PairLimits(images=10, regions=10, max_age=1.0)
     >>> joiner.add_plan((5, 0), 'plan', now=0.0, limits=limits)
     >>> joiner.add_image((5, 0), 'image', now=0.1, limits=limits)
     ('image', 'plan')
@@ -232,9 +241,7 @@ class PairJoiner(Generic[ImageT, PlanT]):
         """Add an image at `now`, seconds of a monotonic clock; return it with its plan, if any."""
         self.expire(now, limits)
         plan = self._join(stamp, image, now, self._images, self._plans, limits.slop)
-        self._images.drop(
-            Unpaired.CROWDED_OUT, *self._images.waiting.shrink(limits.images.max_count)
-        )
+        self._images.drop(Unpaired.CROWDED_OUT, *self._images.waiting.shrink(limits.images))
         return None if plan is None else (image, plan)
 
     def add_plan(
@@ -243,13 +250,13 @@ class PairJoiner(Generic[ImageT, PlanT]):
         """Add a plan at `now`, seconds of a monotonic clock; return it with its image, if any."""
         self.expire(now, limits)
         image = self._join(stamp, plan, now, self._plans, self._images, limits.slop)
-        self._plans.drop(Unpaired.CROWDED_OUT, *self._plans.waiting.shrink(limits.plans.max_count))
+        self._plans.drop(Unpaired.CROWDED_OUT, *self._plans.waiting.shrink(limits.regions))
         return None if image is None else (image, plan)
 
     def expire(self, now: float, limits: PairLimits) -> None:
         """Drop what has waited too long."""
-        self._images.expire(now, limits.images.max_age)
-        self._plans.expire(now, limits.plans.max_age)
+        self._images.expire(now, limits.max_age)
+        self._plans.expire(now, limits.max_age)
 
     def clear(self) -> None:
         """Drop all items; the next stamp of either kind is not a jump back."""

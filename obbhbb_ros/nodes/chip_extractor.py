@@ -30,6 +30,8 @@ from obbhbb_ros.downlink.chips import pixel_format
 from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.downlink.frame import FrameCut
 from obbhbb_ros.downlink.frame import FrameLink
+from obbhbb_ros.downlink.joiner import IMAGES_KEPT
+from obbhbb_ros.downlink.joiner import PLANS_KEPT
 from obbhbb_ros.downlink.joiner import JoinerSide
 from obbhbb_ros.downlink.joiner import PairJoiner
 from obbhbb_ros.downlink.joiner import PairLimits
@@ -44,8 +46,6 @@ from obbhbb_ros.nodes.spool_report import facts_of
 from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
 from obbhbb_ros.settings.chip_extractor import ChipSettings
-from obbhbb_ros.settings.common import IMAGES_KEPT
-from obbhbb_ros.settings.common import PLANS_KEPT
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import NewChip
 from obbhbb_ros.spool.writer import FrameTicket

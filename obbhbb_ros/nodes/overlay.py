@@ -19,6 +19,8 @@ from vision_msgs.msg import Detection2DArray
 from visualization_msgs.msg import ImageMarker
 
 from obbhbb_ros.colors import LAYER_COLORS
+from obbhbb_ros.downlink.joiner import IMAGES_KEPT
+from obbhbb_ros.downlink.joiner import PLANS_KEPT
 from obbhbb_ros.downlink.joiner import ZERO_STAMP
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import TopicInput
@@ -28,8 +30,6 @@ from obbhbb_ros.overlay.collector import LayerCollector
 from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.overlay.drawing import OverlayError
 from obbhbb_ros.overlay.frame import OverlayFrame
-from obbhbb_ros.settings.common import IMAGES_KEPT
-from obbhbb_ros.settings.common import PLANS_KEPT
 from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.overlay import OverlaySettings
 from obbhbb_ros.wire.detections import Detections

@@ -12,7 +12,11 @@ from enum import Enum
 from typing import Generic
 from typing import TypeVar
 
+from obbhbb_ros.downlink.joiner import IMAGES_KEPT
 from obbhbb_ros.downlink.joiner import StampCache
+from obbhbb_ros.limits import Range
+from obbhbb_ros.limits import check_settings
+from obbhbb_ros.limits import setting
 from obbhbb_ros.wire.stamp import Stamp
 
 ImageT = TypeVar('ImageT')
@@ -32,22 +36,28 @@ class NotDrawn(str, Enum):
 
 @dataclass(frozen=True)
 class CollectorLimits:
-    """
-    How long an image and its layers wait for each other.
+    """How images and their layers wait for each other; ValueError if a value is out of range."""
 
-    Attributes
-    ----------
-    max_wait : float
-        Maximum time that an image waits for its layers, seconds from its arrival.
-    max_age : float
-        Maximum time that layers wait for their image, seconds from the arrival of the first.
-    images : int
-        Maximum number of images that wait.
-    """
+    max_wait: float = setting(
+        0.5,
+        'How long an image waits for its layers, seconds. Then it is drawn with those that have '
+        'arrived.',
+        Range(0.0, 60.0),
+    )
+    max_age: float = setting(
+        5.0,
+        'How long layers wait for their image, seconds. A large image takes a while to arrive.',
+        Range(0.0, 3600.0),
+    )
+    max_images: int = setting(
+        IMAGES_KEPT,
+        'Maximum images that wait for their layers; the oldest is dropped first.',
+        Range(1, 1000),
+    )
 
-    max_wait: float
-    max_age: float
-    images: int
+    def __post_init__(self) -> None:
+        """Check every value."""
+        check_settings(self)
 
 
 @dataclass
@@ -90,7 +100,7 @@ class LayerCollector(Generic[ImageT, LayerT]):
     Examples
     --------
     >>> collector = LayerCollector(on_dropped=print)
-    >>> limits = CollectorLimits(max_wait=0.5, max_age=5.0, images=10)
+    >>> limits = CollectorLimits(max_wait=0.5, max_age=5.0, max_images=10)
     >>> collector.add_layer('boxes', (5, 0), 'some boxes', now=0.0)
     True
     >>> collector.add_image((5, 0), 'pixels', now=0.1)
@@ -159,7 +169,7 @@ class LayerCollector(Generic[ImageT, LayerT]):
             else:
                 self._last_ready = max(self._last_ready, parts.number)
                 ready.append((parts.image, parts.layers))
-        self._make_room(limits.images)
+        self._make_room(limits.max_images)
         return ready
 
     def clear(self) -> None:

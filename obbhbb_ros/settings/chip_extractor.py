@@ -10,12 +10,9 @@ from typing import Any
 from obbhbb_ros.downlink.budget import BudgetSettings
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.joiner import PairLimits
-from obbhbb_ros.downlink.joiner import PartLimits
 from obbhbb_ros.limits import MAX_BYTES
 from obbhbb_ros.limits import Range
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
-from obbhbb_ros.settings.common import IMAGES_KEPT
-from obbhbb_ros.settings.common import PLANS_KEPT
 from obbhbb_ros.settings.common import folder_of
 from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.settings.parameters import ParameterGroup
@@ -23,6 +20,7 @@ from obbhbb_ros.settings.parameters import ParameterTable
 
 _CODEC = ParameterGroup(CodecSettings)
 _BUDGET = ParameterGroup(BudgetSettings, 'budget.')
+_CACHE = ParameterGroup(PairLimits, 'cache.')
 
 
 @dataclass(frozen=True)
@@ -41,11 +39,7 @@ def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
     return ChipSettings(
         codec=_CODEC.build(values),
         budget=_BUDGET.build(values),
-        pairing=PairLimits(
-            images=PartLimits(values['cache.images'], values['cache.max_age']),
-            plans=PartLimits(values['cache.regions'], values['cache.max_age']),
-            slop=values['cache.slop'],
-        ),
+        pairing=_CACHE.build(values),
         spool_path=folder_of(values, 'spool.path'),
         spool_max_bytes=values['spool.max_bytes'],
     )
@@ -56,30 +50,7 @@ CHIP_EXTRACTOR = ParameterTable(
         *COMMON_WITH_INPUT,
         *_CODEC.rows,
         *_BUDGET.rows,
-        Parameter(
-            'cache.images',
-            IMAGES_KEPT,
-            'Maximum images that wait for their crop plan; the oldest is dropped first.',
-            Range(1, 1000),
-        ),
-        Parameter(
-            'cache.regions',
-            PLANS_KEPT,
-            'Maximum crop plans that wait for their image; the oldest is dropped first.',
-            Range(1, 100_000),
-        ),
-        Parameter(
-            'cache.max_age',
-            2.0,
-            'How long images and crop plans wait for each other, seconds.',
-            Range(0.0, 3600.0),
-        ),
-        Parameter(
-            'cache.slop',
-            0.0,
-            'Maximum difference between the stamps of an image and its crop plan, seconds.',
-            Range(0.0, 3600.0),
-        ),
+        *_CACHE.rows,
         Parameter(
             'spool.path',
             '',

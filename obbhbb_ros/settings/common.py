@@ -10,11 +10,6 @@ from typing import Any
 from obbhbb_ros.limits import Range
 from obbhbb_ros.settings.parameters import Parameter
 
-# During a stall the middleware keeps this much, 1.6 s of images at 10 Hz, and then delivers it at
-# once, images and plans in any order: the caches hold as much.
-IMAGES_KEPT = 16
-PLANS_KEPT = 100
-
 AUTOSTART = Parameter(
     'autostart',
     True,

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from obbhbb_ros.colors import LAYER_COLORS
-from obbhbb_ros.limits import Range
 from obbhbb_ros.overlay.collector import CollectorLimits
 from obbhbb_ros.overlay.drawing import Style
 from obbhbb_ros.overlay.frame import FrameSettings
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
-from obbhbb_ros.settings.common import IMAGES_KEPT
 from obbhbb_ros.settings.detection_input import DETECTION_INPUT
 from obbhbb_ros.settings.detection_input import input_frame
 from obbhbb_ros.settings.detection_input import theta_scale
@@ -23,6 +21,7 @@ from obbhbb_ros.settings.parameters import ParameterGroup
 from obbhbb_ros.settings.parameters import ParameterTable
 
 _STYLE = ParameterGroup(Style)
+_LIMITS = ParameterGroup(CollectorLimits)
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ def _overlay_settings(values: Mapping[str, Any]) -> OverlaySettings:
             raise ValueError(f'color.{layer} must be #rrggbb, not {color!r}')
     return OverlaySettings(
         FrameSettings(colors, _STYLE.build(values), theta_scale(values), input_frame(values)),
-        CollectorLimits(values['max_wait'], values['max_age'], values['max_images']),
+        _LIMITS.build(values),
     )
 
 
@@ -59,25 +58,7 @@ OVERLAY = ParameterTable(
             'What is drawn, the first at the bottom. Empty strings are ignored.',
         ),
         *_STYLE.rows,
-        Parameter(
-            'max_wait',
-            0.5,
-            'How long an image waits for its layers, seconds. Then it is drawn with those that '
-            'have arrived.',
-            Range(0.0, 60.0),
-        ),
-        Parameter(
-            'max_age',
-            5.0,
-            'How long layers wait for their image, seconds. A large image takes a while to arrive.',
-            Range(0.0, 3600.0),
-        ),
-        Parameter(
-            'max_images',
-            IMAGES_KEPT,
-            'Maximum images that wait for their layers; the oldest is dropped first.',
-            Range(1, 1000),
-        ),
+        *_LIMITS.rows,
         *(
             Parameter(f'color.{layer}', color, f'Colour of {layer.replace("_", " ")}, #rrggbb.')
             for layer, color in LAYER_COLORS.items()

@@ -12,8 +12,10 @@ from obbhbb_ros.downlink.budget import BudgetSettings
 from obbhbb_ros.downlink.budget import LinkSettings
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.crops import CropSettings
+from obbhbb_ros.downlink.joiner import PairLimits
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.limits import Range
+from obbhbb_ros.overlay.collector import CollectorLimits
 from obbhbb_ros.overlay.drawing import Style
 from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
 from obbhbb_ros.settings.downlink import DOWNLINK
@@ -195,8 +197,10 @@ FIELDS = [
         (OBB_TO_HBB, CropSettings, 'crop.'),
         (CHIP_EXTRACTOR, CodecSettings, ''),
         (CHIP_EXTRACTOR, BudgetSettings, 'budget.'),
+        (CHIP_EXTRACTOR, PairLimits, 'cache.'),
         (DOWNLINK, LinkSettings, 'budget.'),
         (OVERLAY, Style, ''),
+        (OVERLAY, CollectorLimits, ''),
     )
     for row in ParameterGroup(settings, prefix).rows
     if isinstance(row.limits, Range)

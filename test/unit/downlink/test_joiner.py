@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from obbhbb_ros.downlink.joiner import JoinerSide
 from obbhbb_ros.downlink.joiner import PairJoiner
 from obbhbb_ros.downlink.joiner import PairLimits
-from obbhbb_ros.downlink.joiner import PartLimits
 from obbhbb_ros.downlink.joiner import StampCache
 from obbhbb_ros.downlink.joiner import Unpaired
 
-LIMITS = PairLimits(PartLimits(2, 1.0), PartLimits(3, 1.0))
+LIMITS = PairLimits(images=2, regions=3, max_age=1.0)
 CAPACITY = 2, 3
 
 
@@ -183,7 +182,7 @@ def test_pairs_of_long_ago_are_forgotten() -> None:
 
 
 def slop_of(seconds):
-    return PairLimits(PartLimits(5, 10.0), PartLimits(5, 10.0), seconds)
+    return PairLimits(5, 5, 10.0, seconds)
 
 
 @pytest.mark.parametrize('second', [(5, 10_000_000), (4, 990_000_000)])
@@ -236,7 +235,7 @@ NANOSECONDS = st.lists(st.tuples(st.integers(0, 1), st.integers(1, 200)), max_si
 
 @given(NANOSECONDS, st.integers(0, 30))
 def test_no_pair_is_farther_apart_than_the_slop(events, slop) -> None:
-    log, limits = Log(), PairLimits(*[PartLimits(100, 10.0)] * 2, slop * 1e-9)
+    log, limits = Log(), PairLimits(100, 100, 10.0, slop * 1e-9)
     paired = 0
     for kind, stamp in sorted(events, key=lambda event: event[1]):
         waiting = [other for other in log.waiting(1 - kind) if abs(other - stamp) <= slop]

@@ -11,7 +11,7 @@ from obbhbb_ros.overlay.collector import CollectorLimits
 from obbhbb_ros.overlay.collector import LayerCollector
 from obbhbb_ros.overlay.collector import NotDrawn
 
-LIMITS = CollectorLimits(max_wait=0.5, max_age=5.0, images=3)
+LIMITS = CollectorLimits(max_wait=0.5, max_age=5.0, max_images=3)
 AWAITED = {'boxes', 'detections'}
 IMAGE = 'image'
 PARTS = (IMAGE, *sorted(AWAITED))
