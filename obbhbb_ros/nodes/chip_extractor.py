@@ -37,7 +37,6 @@ from obbhbb_ros.downlink.joiner import PairJoiner
 from obbhbb_ros.downlink.joiner import PairLimits
 from obbhbb_ros.downlink.joiner import StampCache
 from obbhbb_ros.downlink.joiner import Unpaired
-from obbhbb_ros.downlink.records import recorder_of
 from obbhbb_ros.downlink.stamps import ChipStamps
 from obbhbb_ros.nodes.camera_info import LatestCameraInfo
 from obbhbb_ros.nodes.chip_topics import ChipTopics
@@ -48,6 +47,7 @@ from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
 from obbhbb_ros.settings.chip_extractor import ChipSettings
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import NewChip
+from obbhbb_ros.spool.records import recorder_of
 from obbhbb_ros.spool.writer import FrameTicket
 from obbhbb_ros.spool.writer import SpoolWriter
 from obbhbb_ros.wire.image import WireImage

@@ -2,17 +2,20 @@
 """Links, files, commands, options, topics and diagnostics named on the pages exist."""
 
 import argparse
+import doctest
 import importlib
 import importlib.util
 import re
 import shlex
 from collections.abc import Iterator
+from collections.abc import Mapping
 from importlib.metadata import entry_points
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 import yaml
 from documentation import NODE_TABLES
@@ -20,7 +23,9 @@ from launch_files import launched
 from outboxes import make_outbox
 from outboxes import make_spool
 
+from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import cli
+from obbhbb_ros import convert
 from obbhbb_ros.commands import COMMANDS
 from obbhbb_ros.commands import command_line
 from obbhbb_ros.downlink.chips import Dropped
@@ -33,7 +38,8 @@ from obbhbb_ros.wire.layouts import INPUT_TYPES
 ROOT = Path(__file__).parents[2]
 README = ROOT / 'README.md'
 DOC = sorted((ROOT / 'doc').glob('*.md'))
-PAGES = [README, ROOT / 'CONTRIBUTING.md', ROOT / 'QUALITY_DECLARATION.md', *DOC]
+FRONT = ['README', 'CONTRIBUTING', 'QUALITY_DECLARATION', 'SECURITY']
+PAGES = [*(ROOT / f'{name}.md' for name in FRONT), *DOC]
 PARSER = command_line()
 EXECUTABLES = {
     each.name
@@ -331,16 +337,35 @@ def blocks(language: str, *left_out: str) -> pytest.MarkDecorator:
 
 
 # The page of the figures needs data that the package does not have; the example for chips and the
-# tour are run with the nodes.
-@blocks('python', 'reproduction', 'chip_extractor', 'tour')
+# tour are run with the nodes; Ultralytics and supervision need not be installed.
+@blocks('python', 'reproduction', 'chip_extractor', 'tour', 'python')
 def test_an_example_in_python_runs(block: str) -> None:
     exec(block, {})
+
+
+def test_the_examples_of_the_python_page_give_what_they_show() -> None:
+    page = ROOT / 'doc' / 'python.md'
+    text = '\n'.join(block for kind, block in FENCE.findall(text_of(page)) if kind == 'pycon')
+    session = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
+    assert len(session.examples) > 15
+    assert doctest.DocTestRunner().run(session).failed == 0
+
+
+def test_corners_of_supervision_are_converted() -> None:
+    supervision = pytest.importorskip('supervision')
+    boxes = OrientedBoxes.from_xywhr([[50, 40, 60, 20, 0.5]])
+    detections = supervision.Detections(
+        xyxy=convert(boxes, method='outer'), data={'xyxyxyxy': boxes.corners}
+    )
+    detections.xyxy = convert(OrientedBoxes.from_corners(detections.data['xyxyxyxy']))
+    np.testing.assert_allclose(detections.xyxy, convert(boxes))
 
 
 @pytest.mark.parametrize('name', named_in(text_of(ROOT / 'doc' / 'python.md'), '| name |'))
 def test_a_name_of_the_python_api_exists_and_is_described(name: str) -> None:
     module, _, attribute = name.rpartition('.')
-    assert getattr(importlib.import_module(module), attribute).__doc__
+    value = getattr(importlib.import_module(module), attribute)
+    assert value.__doc__ or isinstance(value, Mapping)
 
 
 @blocks('yaml')

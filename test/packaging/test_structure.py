@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the package is built: which room imports which, as the table of CONTRIBUTING says."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / 'obbhbb_ros'
+MODULES = sorted(PACKAGE.rglob('*.py'))
+TREES = {path: ast.parse(path.read_text(encoding='utf-8')) for path in MODULES}
+
+
+def room_of(path: Path) -> str:
+    """Return the folder or module of the package, as the table names it."""
+    first, *rest = path.relative_to(PACKAGE).parts
+    return f'{first}/' if rest else first
+
+
+def imported(tree: ast.AST) -> Iterator[str]:
+    """Return the modules of the package that a module imports, anywhere in it."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module == PACKAGE.name:
+            yield from (f'{node.module}.{alias.name}' for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield node.module or ''
+
+
+def imported_rooms() -> dict[str, set[str]]:
+    """Return the rooms that each room imports."""
+    rooms: dict[str, set[str]] = {room_of(path): set() for path in MODULES}
+    for path, tree in TREES.items():
+        for module in imported(tree):
+            package, _, rest = module.partition('.')
+            if package == PACKAGE.name and rest:
+                name = rest.partition('.')[0]
+                target = f'{name}/' if (PACKAGE / name).is_dir() else f'{name}.py'
+                rooms[room_of(path)] |= {target} & rooms.keys() - {room_of(path)}
+    return rooms
+
+
+def table() -> dict[str, set[str]]:
+    """Return the table of CONTRIBUTING: what each room may import, in its order."""
+    text = (ROOT / 'CONTRIBUTING.md').read_text(encoding='utf-8')
+    rows = re.search(r'^\| room .*\n\| ---.*\n((?:\|.*\n)+)', text, re.M)[1].splitlines()
+    cells = [row.split('|') for row in rows]
+    return {
+        room: set(re.findall('`([^`]+)`', row[3]))
+        for row in cells
+        for room in re.findall('`([^`]+)`', row[1])
+    }
+
+
+def test_the_table_has_a_row_for_every_room() -> None:
+    assert table().keys() == {room_of(path) for path in MODULES} - {'__init__.py'}
+
+
+@pytest.mark.parametrize('room', table())
+def test_a_room_imports_what_the_table_says_and_no_other(room: str) -> None:
+    assert imported_rooms()[room] == table()[room]
+
+
+def test_a_room_imports_only_rooms_above_it() -> None:
+    above: set[str] = set()
+    for room, allowed in table().items():
+        assert allowed <= above, room
+        above.add(room)
+
+
+def test_only_nodes_and_launch_files_import_ros() -> None:
+    ros = {'rclpy', 'launch', 'launch_ros', 'ament_index_python', 'vision_msgs', 'sensor_msgs'}
+    users = {
+        room_of(path)
+        for path, tree in TREES.items()
+        if ros & {module.partition('.')[0] for module in imported(tree)}
+    }
+    assert users == {'nodes/', 'launching.py'}
