@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shlex
 from argparse import ArgumentParser
 from argparse import Namespace
 from pathlib import Path
@@ -86,7 +87,8 @@ def run_gallery(options: Namespace) -> int:
     received = read_received(outbox)
     if not received.chips and not received.problems:
         raise ValueError(f'{options.outbox}: no chips found')
-    page = gallery_page(received, beside, outbox.name, options.limit)
+    command = f'obbhbb {shlex.join(options.arguments)}'
+    page = gallery_page(received, beside, outbox.name, limit=options.limit, command=command)
     write_text(options.output, page)
     for problem in received.problems:
         note(f'obbhbb: {problem}')

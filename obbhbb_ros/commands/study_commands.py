@@ -221,7 +221,13 @@ def run_report(options: Namespace) -> int:
 
     ships = read_labelled_ships(options)
     title = ', '.join(path.name for path in options.labels)
-    page = report_page(ships, title, gallery=options.gallery, seed=options.seed)
+    page = report_page(
+        ships,
+        title,
+        gallery=options.gallery,
+        seed=options.seed,
+        command=f'obbhbb {shlex.join(options.arguments)}',
+    )
     write_text(options.output, page)
     print(f'written: {options.output}')
     return 0

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What came down: the chips of an outbox, or of a folder that received one, as an HTML page.
+The chips of an outbox, or of a folder that received its files, as an HTML page.
 
-The page links to the chips, so it stays small and must stay where it is relative to them. Only
-what browsers do not show, JPEG 2000 and 16 bits, is converted and embedded. Needs Jinja2, the extra
+The page links to the chips: it is small, and has to stay where it is relative to them. Only what
+browsers do not show, JPEG 2000 and 16 bits, is converted and embedded. Needs Jinja2, the extra
 `plots`; converting needs Pillow, the extra `images`.
 """
 
@@ -34,8 +34,12 @@ from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels.image_files import opened_image
 from obbhbb_ros.study.pages import environment
+from obbhbb_ros.study.pages import origin
 from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track
+from obbhbb_ros.wire.stamp import Stamp
+from obbhbb_ros.wire.stamp import nanoseconds_of
+from obbhbb_ros.wire.stamp import stamp_text
 
 _SUFFIXES = {f'.{codec.suffix}' for codec in CODECS.values()}
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
@@ -70,7 +74,17 @@ class GalleryChip:
     @property
     def rank(self) -> tuple[float, int, str]:
         """Sort key: the most valuable first, then the oldest."""
-        return -self.facts['value'], _nanoseconds(self.facts['stamp']), self.facts['id']
+        return -self.facts['value'], self.time, self.facts['id']
+
+    @property
+    def stamp(self) -> Stamp:
+        """Stamp of the image."""
+        return self.facts['stamp']['sec'], self.facts['stamp']['nanosec']
+
+    @property
+    def time(self) -> int:
+        """Stamp of the image, nanoseconds."""
+        return nanoseconds_of(self.stamp)
 
 
 @dataclass
@@ -103,7 +117,7 @@ def read_received(folder: Path) -> Received:
     received = Received()
     files = sorted(_files(folder, received.problems))
     named = set()
-    for path in track([each for each in files if each.suffix == '.json'], 'reading'):
+    for path in track([path for path in files if path.suffix == '.json'], 'reading'):
         shown = printable(str(path.relative_to(folder)))
         try:
             chip = _checked(path)
@@ -116,14 +130,16 @@ def read_received(folder: Path) -> Received:
             name = printable(str(chip.path.relative_to(folder)))
             received.problems.append(f'{name}: {chip.damage}')
     received.chips.sort(key=lambda chip: chip.rank)
-    orphans = [each for each in files if each.suffix in _SUFFIXES and each not in named]
+    orphans = [path for path in files if path.suffix in _SUFFIXES and path not in named]
     if orphans:
         first = printable(str(orphans[0].relative_to(folder)))
         received.problems.append(f'{first}: no usable JSON; {len(orphans)} such files in all')
     return received
 
 
-def gallery_page(received: Received, beside: Path, title: str, limit: int = 0) -> str:
+def gallery_page(
+    received: Received, beside: Path, title: str, *, limit: int = 0, command: str = ''
+) -> str:
     """
     Return the page, as HTML; pictures that cannot be converted join `received.problems`.
 
@@ -137,6 +153,8 @@ def gallery_page(received: Received, beside: Path, title: str, limit: int = 0) -
         Name of the data.
     limit : int
         Maximum number of chips to show, 0 for all.
+    command : str
+        Command line to name on the page.
 
     Raises
     ------
@@ -151,15 +169,16 @@ def gallery_page(received: Received, beside: Path, title: str, limit: int = 0) -
     classes = Counter(printable(chip.facts['class_id']) for chip in received.chips)
     numbers = {class_id: number for number, (class_id, _) in enumerate(classes.most_common())}
     cards = [_card(chip, numbers, beside, received.problems) for chip in track(chips, 'drawing')]
-    stamps = sorted((chip.facts['stamp'] for chip in received.chips), key=_nanoseconds)
+    times = sorted(chip.time for chip in received.chips)
     return (
         environment()
         .get_template('gallery.html')
         .render(
             title=printable(title),
+            origin=origin(command),
             total=len(received.chips),
             classes=classes.most_common(),
-            span=[_utc(stamp) for stamp in (stamps[0], stamps[-1])] if stamps else [],
+            span=[_utc(time) for time in (times[0], times[-1])] if times else [],
             size=sum(chip.size or 0 for chip in received.chips),
             problems=received.problems,
             cards=cards,
@@ -173,7 +192,7 @@ def _files(folder: Path, problems: list[str]) -> Iterator[Path]:
     def report(error: OSError) -> None:
         problems.append(printable(str(error)))
 
-    # Of a link that leads up, nothing is new.
+    # A link that leads up leads to nothing new.
     searched = set(folder.resolve().parents)
     for place, folders, names in os.walk(folder, onerror=report, followlinks=True):
         if (real := Path(place).resolve()) in searched:
@@ -183,7 +202,7 @@ def _files(folder: Path, problems: list[str]) -> Iterator[Path]:
         folders[:] = [name for name in folders if not name.startswith('.')]
         for name in names:
             path = Path(place, name)
-            # Reading a pipe would never end.
+            # Reading a pipe would block.
             if not name.startswith('.') and path.is_file():
                 yield path
 
@@ -203,7 +222,7 @@ def _checked(path: Path) -> GalleryChip:
 
 
 def _damage(chip: Path, facts: dict[str, Any]) -> tuple[str, int | None]:
-    """Say what is wrong with a chip file, and give its size."""
+    """Return what is wrong with a chip file, empty if nothing is, and its size."""
     if not chip.is_file():
         return 'missing', None
     size = chip.stat().st_size
@@ -221,12 +240,12 @@ def _is_text(value: Any) -> bool:
     return isinstance(value, str)
 
 
-def _is_whole(value: Any, least: int = 0, most: int = 2**32 - 1) -> bool:
-    return type(value) is int and least <= value <= most
+def _is_whole(value: Any, low: int = 0, high: int = 2**32 - 1) -> bool:
+    return type(value) is int and low <= value <= high
 
 
 def _is_number(value: Any) -> bool:
-    # Any that is finite, as for the chips of a spool.
+    # Any finite number, as in a spool.
     return type(value) in (int, float) and abs(value) <= sys.float_info.max
 
 
@@ -245,7 +264,7 @@ def _is_stamp(value: Any) -> bool:
     # Whatever fits into builtin_interfaces/msg/Time.
     return (
         isinstance(value, dict)
-        and _is_whole(value.get('sec'), least=-(2**31), most=2**31 - 1)
+        and _is_whole(value.get('sec'), -(2**31), 2**31 - 1)
         and _is_whole(value.get('nanosec'))
     )
 
@@ -292,8 +311,8 @@ def _card(
         'class_number': numbers[class_id],
         'score': facts['score'],
         'value': facts['value'],
-        'time': _utc(facts['stamp']),
-        'stamp': _stamp(facts['stamp']),
+        'time': _utc(chip.time),
+        'stamp': _stamp(chip.stamp),
         'frame_id': printable(facts['frame_id']),
         'detections': len(facts['detection_ids']),
         'roi': facts['roi'],
@@ -314,7 +333,7 @@ def _corners(obb: list[float] | None) -> list[list[float]]:
 
 
 def _picture(chip: GalleryChip, link: str, problems: list[str]) -> str | None:
-    """Give the source of a chip's picture: the file, or its content if it has to be converted."""
+    """Return the source of a chip's picture: the file, or its content if it must be converted."""
     if chip.size is None:
         return None
     if not _needs_conversion(chip):
@@ -330,7 +349,7 @@ def _picture(chip: GalleryChip, link: str, problems: list[str]) -> str | None:
 
 
 def _needs_conversion(chip: GalleryChip) -> bool:
-    """Say whether browsers do not show a chip, or show its 16 bits too dark."""
+    """Check whether browsers do not show a chip, or show its 16 bits too dark."""
     if chip.facts['codec'] != 'png':
         return bool(chip.facts['codec'] == 'jpeg2000')
     with chip.path.open('rb') as stream:
@@ -338,7 +357,7 @@ def _needs_conversion(chip: GalleryChip) -> bool:
 
 
 def _converted(chip: GalleryChip) -> str:
-    """Convert a chip to a small JPEG in a data URL; ValueError if it has not the size it should."""
+    """Convert a chip to a small JPEG in a data URL; ValueError if its size is wrong."""
     from PIL import Image
 
     with opened_image(chip.path) as stored:
@@ -358,19 +377,15 @@ def _converted(chip: GalleryChip) -> str:
 # Texts ----------------------------------------------------------------------------------------
 
 
-def _nanoseconds(stamp: dict[str, int]) -> int:
-    """Return a stamp as a number."""
-    return stamp['sec'] * 10**9 + stamp['nanosec']
-
-
-def _stamp(stamp: dict[str, int]) -> str:
+def _stamp(stamp: Stamp) -> str:
     """Write a stamp as it is; as a decimal number if that cannot be misread."""
-    plain = stamp['sec'] >= 0 and stamp['nanosec'] < 10**9
-    return ('{sec}.{nanosec:09d}' if plain else '{sec} s + {nanosec} ns').format(**stamp)
+    seconds, nanoseconds = stamp
+    plain = seconds >= 0 and nanoseconds < 10**9
+    return stamp_text(stamp) if plain else f'{seconds} s + {nanoseconds} ns'
 
 
-def _utc(stamp: dict[str, int]) -> str:
-    """Write a stamp as date and time of day, to the millisecond."""
-    seconds, rest = divmod(_nanoseconds(stamp), 10**9)
+def _utc(time: int) -> str:
+    """Write a time, nanoseconds, as date and time of day, to the millisecond."""
+    seconds, rest = divmod(time, 10**9)
     whole = _EPOCH + timedelta(seconds=seconds)
     return f'{whole:%Y-%m-%d %H:%M:%S}.{rest // 10**6:03d} UTC'

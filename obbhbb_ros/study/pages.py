@@ -3,7 +3,13 @@
 
 from __future__ import annotations
 
+from datetime import datetime
+from datetime import timezone
+from importlib import metadata
+
 import jinja2
+
+from obbhbb_ros.study.progress import printable
 
 
 def environment() -> jinja2.Environment:
@@ -15,3 +21,13 @@ def environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+
+
+def origin(command: str) -> str:
+    """Tell when a page was made, by which version and, unless it is empty, by which command."""
+    try:
+        version = metadata.version('obbhbb_ros')
+    except metadata.PackageNotFoundError:
+        version = 'from a checkout'
+    now = f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M} UTC'
+    return f'Made on {now} by obbhbb_ros {version}' + (f': {printable(command)}' if command else '')

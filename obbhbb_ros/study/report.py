@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The report, one HTML page: tables, curves, calibration, synthetic hulls, a gallery of ships.
+The report, one HTML page: its conclusion, the user's ships, and the synthetic hulls of the paper.
 
 The page contains its styles and figures, and loads no other file. Needs Jinja2 and matplotlib, the
 extra `plots`.
@@ -10,33 +10,50 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import figures
 from obbhbb_ros.study import grid_search
 from obbhbb_ros.study import hulls
+from obbhbb_ros.study import metrics
 from obbhbb_ros.study import paper_table
 from obbhbb_ros.study.calibration import CalibrationPlan
+from obbhbb_ros.study.cross_validation import CALIBRATED
+from obbhbb_ros.study.cross_validation import CalibrationResult
 from obbhbb_ros.study.cross_validation import run
 from obbhbb_ros.study.metrics import PROTOCOLS
 from obbhbb_ros.study.pages import environment
+from obbhbb_ros.study.pages import origin
 from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.rules import TUNABLE_METHODS
 from obbhbb_ros.study.ships import Ships
 from obbhbb_ros.study.tables import calibration_text
 from obbhbb_ros.study.tables import known_metrics
 from obbhbb_ros.study.tables import offset_notes
+from obbhbb_ros.study.tables import rule_text
+from obbhbb_ros.study.tables import tuned_text
 
 SENSITIVITY_F = np.round(np.arange(0.5, 1.5001, 0.025), 3)
 WIDTHS = {'wide, L/W < 4': (1.0, 4.0), 'L/W 4-6': (4.0, 6.0), 'narrow, L/W >= 6': (6.0, np.inf)}
 _FOLDS = 5
 
 
-def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -> str:
+class Picture(NamedTuple):
+    """A chart of the page, as an `<svg>` element, and the text for those who cannot see it."""
+
+    svg: str
+    alt: str
+
+
+def report_page(
+    ships: Ships, title: str, *, gallery: int = 24, seed: int = 0, command: str = ''
+) -> str:
     """
     Return the report on some ships, as HTML.
 
@@ -51,6 +68,8 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
         Number of ships to draw, those with the lowest IoU of `superellipse` first.
     seed : int
         Seed of bootstrap samples, splits and synthetic hulls.
+    command : str
+        Command line to name on the page.
 
     Raises
     ------
@@ -59,13 +78,12 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
     """
     if gallery < 0:
         raise ValueError(f'gallery must be 0 or more, not {gallery}')
-    known = ships.take(ships.with_reference) if ships.with_reference.any() else None
-    protocol = 'obb' if known is None else 'hbb'
+    referenced = ships.take(ships.with_reference) if ships.with_reference.any() else None
+    protocol = 'hbb' if referenced else 'obb'
     settings = evaluation.EvaluationSettings(seed=seed)
-    protocols = tuple(PROTOCOLS) if known else ('obb',)
+    protocols = tuple(PROTOCOLS) if referenced else ('obb',)
     scores = evaluation.evaluate(ships, DEFAULT_RULES, protocols, settings)
-    synthetic = hulls.synthetic_ships(seed=seed)
-    comparison = paper_table.paper_comparison()
+    result = _cross_validated(referenced, seed) if referenced else None
     templates = environment()
     templates.globals.update(
         ALL=evaluation.ALL,
@@ -74,43 +92,121 @@ def report_page(ships: Ships, title: str, *, gallery: int = 24, seed: int = 0) -
         TUNABLE_METHODS=TUNABLE_METHODS,
         color_of=figures.color_of,
         known_metrics=known_metrics,
+        tuned_text=tuned_text,
     )
     return templates.get_template('report.html').render(
         title=title,
-        rows=[(full, row) for full in hulls.FULLNESS for row in paper_table.PAPER_ROWS],
+        origin=origin(command),
+        conclusion=conclusion(referenced, result),
         ships=ships,
-        references=len(known) if known else 0,
+        references=len(referenced) if referenced else 0,
         settings=settings,
         scores=evaluation.nested(scores),
-        notes=offset_notes(evaluation.offsets(known, settings=settings)) if known else [],
-        angles=figures.svg(figures.angle_figure(scores)),
-        calibration=_calibration(known, seed) if known else None,
-        comparison=comparison,
-        deviations={
-            row: paper_table.mean_deviation(comparison, row) for row in paper_table.PAPER_ROWS
-        },
-        hulls=figures.svg(figures.hull_panel()),
-        errors=figures.svg(figures.error_figure(_best_errors(synthetic))),
-        synthetic=_parameter_figures(synthetic),
+        notes=offset_notes(evaluation.offsets(referenced, settings=settings)) if referenced else [],
+        angles=Picture(
+            figures.svg(figures.angle_figure(scores)),
+            'Mean IoU of every method in three bands of tilt, by protocol',
+        ),
+        calibration=_calibration(referenced, result) if referenced else None,
         protocol=protocol,
         cards=list(_cards(evaluation.ships_for(ships, protocol), protocol, gallery)),
+        **_synthetic_study(seed),
     )
 
 
-def _calibration(known: Ships, seed: int) -> dict[str, Any]:
-    """Calibrate on ships with reference boxes."""
-    folds = min(_FOLDS, known.image_count)
-    outcome = run(known, CalibrationPlan(seed=seed), folds, by_aspect=True) if folds > 1 else None
-    text = calibration_text(outcome) if outcome else None
-    return {'folds': folds, 'text': text, **_parameter_figures(known)}
+def conclusion(ships: Ships | None, result: CalibrationResult | None) -> str:
+    """
+    Say in a sentence which q is best, and what it gains over the outer box and over the default.
+
+    Parameters
+    ----------
+    ships : Ships or None
+        The ships with reference boxes, if there are any.
+    result : CalibrationResult or None
+        Their calibration, if they lie in more than one image.
+    """
+    default = f'the default, q {HullRule().q:g}'
+    if ships is None:
+        return (
+            f'No ship has a reference box, so no best q can be found: use {default}, and give '
+            'labels with reference boxes to calibrate.'
+        )
+    if result is None or not result.held_out:
+        iou = {
+            name: metrics.iou(convert_by_rule(ships.boxes, HullRule(name)), ships.reference).mean()
+            for name in ('superellipse', 'outer')
+        }
+        return (
+            f'Too few images to calibrate on some and measure on others: use {default}, whose mean '
+            f'IoU is {iou["superellipse"]:.4f}, where the outer box has {iou["outer"]:.4f}.'
+        )
+    best, gain = rule_text(result.rule), result.gain(CALIBRATED, 'default')
+    name = CALIBRATED if gain.earned else 'default'
+    over_outer = result.gain(name, 'outer')
+    mean = result.held_out[name]['iou'].mean()
+    fit = (
+        f'a mean IoU of {mean:.4f} on held-out images, {over_outer.mean:+.4f} against the outer '
+        f'box ({over_outer.low:+.4f} to {over_outer.high:+.4f})'
+    )
+    against = f'{gain.mean:+.4f} ({gain.low:+.4f} to {gain.high:+.4f})'
+    if gain.earned:
+        return f'For these ships use {best}: it has {fit} and {against} against {default}.'
+    return (
+        f'For these ships use {default}: it has {fit}; a rule calibrated on them, {best}, makes '
+        f'a difference of {against}.'
+    )
 
 
-def _parameter_figures(ships: Ships) -> dict[str, str]:
+def _cross_validated(ships: Ships, seed: int) -> CalibrationResult | None:
+    """Calibrate on ships with reference boxes; None if they lie in one image."""
+    folds = _folds(ships)
+    return run(ships, CalibrationPlan(seed=seed), folds, by_aspect=True) if folds > 1 else None
+
+
+def _folds(ships: Ships) -> int:
+    """Count the folds of the cross-validation."""
+    return min(_FOLDS, ships.image_count)
+
+
+def _calibration(ships: Ships, result: CalibrationResult | None) -> dict[str, Any]:
+    """Describe the calibration on ships with reference boxes, and draw what it depends on."""
+    text = calibration_text(result) if result else None
+    return {'folds': _folds(ships), 'text': text, **_parameter_figures(ships)}
+
+
+def _synthetic_study(seed: int) -> dict[str, Any]:
+    """Measure and draw the synthetic hulls, and compare them with the paper's Table 1."""
+    ships, comparison = hulls.synthetic_ships(seed=seed), paper_table.paper_comparison()
+    return {
+        'comparison': comparison,
+        'rows': [(full, row) for full in hulls.FULLNESS for row in paper_table.PAPER_ROWS],
+        'deviations': {
+            row: paper_table.mean_deviation(comparison, row) for row in paper_table.PAPER_ROWS
+        },
+        'hulls': Picture(
+            figures.svg(figures.hull_panel()),
+            'The synthetic hulls by family and fullness, with their oriented and reference boxes',
+        ),
+        'errors': Picture(
+            figures.svg(figures.error_figure(_best_errors(ships))),
+            "Smallest mean relative error on the paper's grid by method, family and fullness",
+        ),
+        'synthetic': _parameter_figures(ships),
+    }
+
+
+def _parameter_figures(ships: Ships) -> dict[str, Picture]:
     """Draw how mean IoU depends on the parameters."""
     surfaces = {name: _paper_grid(ships, name) for name in TUNABLE_METHODS}
     return {
-        'surfaces': figures.svg(figures.surface_figure(surfaces)),
-        'sensitivity': figures.svg(figures.sensitivity_figure(SENSITIVITY_F, _sensitivity(ships))),
+        'surfaces': Picture(
+            figures.svg(figures.surface_figure(surfaces)),
+            "Mean IoU over q and f on the paper's grid, by method; a frame marks the best",
+        ),
+        'sensitivity': Picture(
+            figures.svg(figures.sensitivity_figure(SENSITIVITY_F, _sensitivity(ships))),
+            'Mean IoU over f for wide, medium and narrow hulls, by method; a dot marks the best f',
+        ),
     }
 
 

@@ -3,7 +3,6 @@
 
 import json
 import re
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -15,9 +14,7 @@ from obbhbb_ros import convert
 from obbhbb_ros.cli import main
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.study.__main__ import main as print_comparison
-from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.metrics import iou
-from obbhbb_ros.study.ships import Ships
 from obbhbb_ros.study.ships import read_ships
 
 SIGNATURES = {'.png': b'\x89PNG', '.svg': b'<?xml', '.pdf': b'%PDF'}
@@ -166,61 +163,6 @@ def test_the_comparison_with_table_1_is_printed_and_the_hulls_drawn(tmp_path, ca
     assert re.search(r'^1\.00 N +0\.000  0\.000  fitted', out, re.MULTILINE)
     assert 'M (midpoint): mean absolute deviation 0.00' in out
     assert (tmp_path / 'hulls.png').read_bytes().startswith(SIGNATURES['.png'])
-
-
-class Page(HTMLParser):
-    """What a browser would fetch, and how many of each element there are."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.fetched, self.counts, self.open = [], {}, []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.counts[tag] = self.counts.get(tag, 0) + 1
-        values = dict(attrs)
-        for name in ('src', 'href', 'xlink:href'):
-            if values.get(name) and not values[name].startswith(('#', 'data:')):
-                self.fetched.append(values[name])
-
-
-def test_report_writes_one_page_that_fetches_nothing(tmp_path, capsys) -> None:
-    pytest.importorskip('matplotlib')
-    path = tmp_path / 'new' / 'report.html'
-    assert main(['report', str(REAL), '-o', str(path), '--gallery', '7']) == 0
-    text = path.read_text(encoding='utf-8')
-    page = Page(text)
-    assert page.fetched == []
-    assert 'url(http' not in text
-    assert 'script' not in page.counts
-    assert text.count('class="card"') == 7
-    assert page.counts['table'] == 5
-    for heading in ('side by side', 'By angle', 'Calibration', 'Sensitivity', 'Synthetic'):
-        assert heading in text
-
-
-def test_the_gallery_begins_with_the_worst_ship() -> None:
-    report = pytest.importorskip('obbhbb_ros.study.report')
-    ships = read_ships([REAL])
-    overlap = iou(convert(ships.boxes), ships.reference)
-    cards = re.findall(r'<p><b>([^<]+)</b>', report.report_page(ships, 'real', gallery=5))
-    assert cards == [ships.names[row] for row in np.argsort(overlap)[:5]]
-
-
-def test_a_report_of_ships_without_reference_has_no_calibration_on_them() -> None:
-    report = pytest.importorskip('obbhbb_ros.study.report')
-    text = report.report_page(Ships.from_labels([labels('a', [[0, 0, 20, 10]])]), '<b>', gallery=3)
-    assert 'Calibration on these ships' not in text
-    assert 'protocol hbb:' not in text
-    assert '&lt;b&gt;' in text
-    assert '<b></h1>' not in text
-
-
-def test_a_report_draws_hulls_where_the_labels_have_them() -> None:
-    report = pytest.importorskip('obbhbb_ros.study.report')
-    text = report.report_page(Ships.from_labels([harbour()]), 'harbour', gallery=4)
-    assert text.count('class="hull"') == 4
-    assert 'class tug' in text
 
 
 def test_a_negative_gallery_is_refused(capsys) -> None:
