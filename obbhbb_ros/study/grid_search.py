@@ -75,10 +75,12 @@ class Bench:
         if not ships.with_reference.all():
             raise ValueError('calibration needs a reference box for every ship')
         self._method = tunable(method)
-        self._along = np.abs(ships.boxes.long_axis.T)
-        self._across = np.abs(ships.boxes.short_axis.T)
-        self._low = ships.reference[:, :2].T - ships.boxes.center.T
-        self._high = ships.reference[:, 2:].T - ships.boxes.center.T
+        # Each coordinate on its own, (2, N), is faster.
+        boxes, turned = ships.boxes, np.ascontiguousarray
+        self._along, self._across = (
+            np.abs(turned(axis.T)) for axis in (boxes.long_axis, boxes.short_axis)
+        )
+        self._low, self._high = turned(ships.reference.T).reshape(2, 2, -1) - turned(boxes.center.T)
         self._reference_area = area(ships.reference)
         self._outer_area = 4.0 * np.prod(self._along + self._across, axis=0)
 

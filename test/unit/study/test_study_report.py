@@ -111,7 +111,8 @@ def test_where_calibration_gains_its_rule_is_recommended() -> None:
     page = report.report_page(referenced_by(HullRule(q=1.5)), 'slim', gallery=0)
     assert re.match(
         r'For these ships use q 1\.5, f 1, s 1: it has a mean IoU of (1\.0000|0\.9999) on '
-        r'held-out images, \+0\.\d{4} against the outer box .* and \+0\.\d{4} .* against the default, q 3\.$',
+        r'held-out images, \+0\.\d{4} against the outer box .* and \+0\.\d{4} .* against the '
+        r'default, q 3\.$',
         sentence(page),
     )
 
