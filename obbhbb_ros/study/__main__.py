@@ -14,7 +14,7 @@ from obbhbb_ros.study.tables import comparison_table
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Print the comparison, and draw the hulls to each picture file that is given."""
+    """Print the comparison, and draw the hulls to the picture files."""
     comparisons = paper_comparison()
     print(comparison_table(comparisons))
     for row, rule in PAPER_ROWS.items():

@@ -83,7 +83,7 @@ def _intervals(samples: Sequence[FloatArray]) -> list[Interval]:
 
 
 def draws(images: int, samples: int, seed: int) -> Iterator[FloatArray]:
-    """Draw images with replacement: in batches, how often each one was drawn, (batch, images)."""
+    """Draw images with replacement: in batches, how often each image was drawn, (batch, images)."""
     random = np.random.default_rng(seed)
     for start in range(0, samples, _BATCH):
         batch = min(_BATCH, samples - start)

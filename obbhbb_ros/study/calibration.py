@@ -32,7 +32,7 @@ from obbhbb_ros.study.ships import Ships
 
 # Below this, a gain on held-out images counts as none.
 MIN_GAIN = 0.002
-# Number of ships that a rule of their own takes.
+# Minimum number of ships for a rule of their own.
 MIN_SHIPS = 30
 _FOLDS = 5
 _DIGITS = 4

@@ -65,11 +65,6 @@ class Coverage(Objective):
         if self.per_image < 1:
             raise ValueError(f'per_image must be 1 or more, not {self.per_image}')
 
-    @property
-    def too_few(self) -> str:
-        """What there are too few of, where the ships are not enough for a rule."""
-        return f'ships for a share of {self.share:g}'
-
     def value(self, bench: Bench, extents: FloatArray) -> tuple[float, ...]:
         """
         Rate half-extents before shrinking, (2, N), by the area that covers enough ships, negative.

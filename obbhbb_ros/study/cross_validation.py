@@ -31,6 +31,7 @@ from obbhbb_ros.study.calibration import CalibrationPlan
 from obbhbb_ros.study.calibration import Calibrator
 from obbhbb_ros.study.calibration import decide
 from obbhbb_ros.study.calibration import enough
+from obbhbb_ros.study.coverage import Coverage
 from obbhbb_ros.study.evaluation import EvaluationSettings
 from obbhbb_ros.study.evaluation import ship_metrics
 from obbhbb_ros.study.folds import folds_of
@@ -147,23 +148,20 @@ class CalibrationResult:
         values = self.held_out[name][metric]
         return bootstrap_intervals([values], self.ships.image_of)[0]
 
-    def gain(self, name: str, base: str = CALIBRATED) -> Gain:
+    def gain(
+        self,
+        name: str,
+        base: str = CALIBRATED,
+        rows: NDArray[np.bool_] | slice = slice(None),
+        title: str = '',
+    ) -> Gain:
         """Compare one way to convert with another, ship by ship, in the metric of the objective."""
-        return self._gain(name, base, np.ones(len(self.ships), dtype=bool), name)
-
-    def class_gain(self, class_id: str) -> Gain:
-        """Compare rules by class with one rule on the ships of a class."""
-        rows = self.ships.class_ids == class_id
-        return self._gain(BY_CLASS, CALIBRATED, rows, f'class {class_id}')
-
-    def _gain(self, name: str, base: str, rows: NDArray[np.bool_], title: str) -> Gain:
-        """Compare two ways to convert on some rows."""
         objective = self.calibrator.plan.objective
         values, others = (self.held_out[way][objective.metric] for way in (name, base))
         difference = (objective.sign * (values - others))[rows]
         (interval,) = bootstrap_intervals([difference], self.ships.image_of[rows])
         over = 'one rule' if base == CALIBRATED else base
-        return Gain(title, float(difference.mean()), *interval, base=over)
+        return Gain(title or name, float(difference.mean()), *interval, base=over)
 
 
 def run(
@@ -212,43 +210,44 @@ def run(
         return result
     if note := _folds_note(ships, plan, folds):
         return replace(result, notes=[note])
-    classes, notes = _large_classes(ships, plan) if per_class else ([], [])
+    return _with_held_out(result, folds, per_class, by_aspect)
+
+
+def _with_held_out(
+    result: CalibrationResult, folds: int, per_class: bool, by_aspect: bool
+) -> CalibrationResult:
+    """Add what is measured on held-out images, and the rules that earn their place there."""
+    ships, calibrator = result.ships, result.calibrator
+    classes, notes = _large_classes(ships, calibrator.plan) if per_class else ([], [])
     groupings: dict[str, Grouping] = {CALIBRATED: no_groups}
     if by_aspect:
         groupings[BY_ASPECT] = aspect_groups
     if classes:
         groupings[BY_CLASS] = partial(class_groups, classes)
-    result = replace(
-        result,
-        held_out=dict(_held_out_metrics(ships, calibrator, groupings, folds)),
-        rule_of_aspect=_aspect_rules(ships, calibrator) if by_aspect else (),
-        notes=notes,
-    )
-    margin = _margin_gain(result, folds) if isinstance(plan.objective, MeanIou) else None
-    class_gains = {class_id: result.class_gain(class_id) for class_id in classes}
-    return replace(
-        result,
-        gains=[
-            *(result.gain(name) for name in groupings if name != CALIBRATED),
-            *([margin] if margin else []),
-            *class_gains.values(),
-        ],
-        rule_of_class={
-            class_id: _for_class(calibrator).fit(ships.take(ships.class_ids == class_id))
-            for class_id, gain in class_gains.items()
-            if gain.earned
-        },
-    )
+    held_out = dict(_held_out_metrics(ships, calibrator, groupings, folds))
+    rules = _aspect_rules(ships, calibrator) if by_aspect else ()
+    result = replace(result, held_out=held_out, rule_of_aspect=rules, notes=notes)
+    gains = [result.gain(name) for name in groupings if name != CALIBRATED]
+    is_iou = isinstance(calibrator.plan.objective, MeanIou)
+    if is_iou and (margin := _margin_gain(result, folds)):
+        gains.append(margin)
+    rule_of_class = {}
+    for class_id in classes:
+        rows = ships.class_ids == class_id
+        gain = result.gain(BY_CLASS, rows=rows, title=f'class {class_id}')
+        gains.append(gain)
+        if gain.earned:
+            rule_of_class[class_id] = _for_class(calibrator).fit(ships.take(rows))
+    return replace(result, gains=gains, rule_of_class=rule_of_class)
 
 
 def _folds_note(ships: Ships, plan: CalibrationPlan, folds: int) -> str | None:
     """Explain why nothing can be held out; None if it can."""
     if all(enough(training, plan, 1) for training, _ in held_out_folds(ships, folds, plan.seed)):
         return None
-    return (
-        f'No held-out figures: without one of {folds} folds there are too few '
-        f'{plan.objective.too_few}.'
-    )
+    objective = plan.objective
+    share = f' for a share of {objective.share:g}' if isinstance(objective, Coverage) else ''
+    return f'No held-out figures: without one of {folds} folds there are too few ships{share}.'
 
 
 def _held_out_metrics(
@@ -332,8 +331,8 @@ def _margin_gain(result: CalibrationResult, folds: int) -> Gain | None:
         return None
     for training, rows in held_out_folds(ships, folds, calibrator.plan.seed):
         rule = calibrator.fit(training)
-        known, new = ships.take(small & ~rows), ships.take(small & rows)
-        margin = fit_margin(known, convert_by_rule(known.boxes, rule))
+        others, new = ships.take(small & ~rows), ships.take(small & rows)
+        margin = fit_margin(others, convert_by_rule(others.boxes, rule))
         xyxy = convert_by_rule(new.boxes, rule)
         grown = metrics.iou(_grown(xyxy, margin), new.reference)
         gain[small & rows] = grown - metrics.iou(xyxy, new.reference)

@@ -14,6 +14,7 @@ from dataclasses import asdict
 from dataclasses import dataclass
 from dataclasses import field
 from dataclasses import fields
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -128,9 +129,19 @@ def _metric(
     return {'metric': Metric(title, values, form)}
 
 
-def _matches(threshold: float) -> Callable[[Scored], FloatArray]:
-    """Count the ships with an IoU of at least a threshold."""
-    return lambda scored: scored.overlap.match(threshold).astype(float)
+def _overlap(name: str) -> Callable[[Scored], FloatArray]:
+    """Read a property of the overlap."""
+    return attrgetter(f'overlap.{name}')
+
+
+def _matches(threshold: float | None = None) -> Callable[[Scored], FloatArray]:
+    """Count the ships with an IoU of at least a threshold, by default that of the settings."""
+    return lambda scored: scored.overlap.match(threshold or scored.settings.threshold).astype(float)
+
+
+def _kept(scored: Scored) -> FloatArray:
+    """Count the ships whose box contains enough of their reference."""
+    return (scored.overlap.coverage >= scored.settings.keep).astype(float)
 
 
 def _average_match(scored: Scored) -> FloatArray:
@@ -200,33 +211,16 @@ class Score:
     q_stern: float | None
     ships: int
     images: int
-    iou: float = field(metadata=_metric('mean IoU', lambda scored: scored.overlap.iou))
+    iou: float = field(metadata=_metric('mean IoU', _overlap('iou')))
     iou_low: float
     iou_high: float
-    match: float = field(
-        metadata=_metric(
-            'match{threshold:g}',
-            lambda scored: scored.overlap.match(scored.settings.threshold).astype(float),
-        )
-    )
-    overshoot: float = field(metadata=_metric('overshoot', lambda scored: scored.overlap.overshoot))
-    undershoot: float = field(
-        metadata=_metric('undershoot', lambda scored: scored.overlap.undershoot)
-    )
-    average_error: float = field(
-        metadata=_metric('avg. error', lambda scored: scored.overlap.average_error)
-    )
-    area_error: float = field(
-        metadata=_metric('area error', lambda scored: scored.overlap.relative_error)
-    )
-    coverage: float = field(metadata=_metric('coverage', lambda scored: scored.overlap.coverage))
-    kept: float = field(
-        metadata=_metric(
-            'keep {keep:.0%}',
-            lambda scored: (scored.overlap.coverage >= scored.settings.keep).astype(float),
-            '.1%',
-        )
-    )
+    match: float = field(metadata=_metric('match{threshold:g}', _matches()))
+    overshoot: float = field(metadata=_metric('overshoot', _overlap('overshoot')))
+    undershoot: float = field(metadata=_metric('undershoot', _overlap('undershoot')))
+    average_error: float = field(metadata=_metric('avg. error', _overlap('average_error')))
+    area_error: float = field(metadata=_metric('area error', _overlap('relative_error')))
+    coverage: float = field(metadata=_metric('coverage', _overlap('coverage')))
+    kept: float = field(metadata=_metric('keep {keep:.0%}', _kept, '.1%'))
     area: float = field(metadata=_metric('area/outer', _area))
     match75: float = field(metadata=_metric('match75', _matches(0.75)))
     match90: float = field(metadata=_metric('match90', _matches(0.9)))

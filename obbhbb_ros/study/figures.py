@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
 from contextlib import contextmanager
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -72,13 +73,13 @@ def save(figure: Figure, path: Path, dpi: int = 120) -> None:
         figure.savefig(whole, dpi=dpi, format=path.suffix[1:] or 'png')
 
 
-def svg(figure: Figure) -> str:
-    """Write a figure as an `<svg>` element for a page."""
+def svg(figure: Figure, alt: str) -> str:
+    """Write a figure as an `<svg>` element for a page, with a text for those who cannot see it."""
     file = io.StringIO()
     with _styled():
         figure.savefig(file, format='svg', metadata={'Date': None})
     text = file.getvalue()
-    return text[text.index('<svg') :]
+    return f'<svg role="img" aria-label="{escape(alt)}"' + text.partition('<svg')[2]
 
 
 @contextmanager
@@ -127,11 +128,11 @@ def _draw_bands(axes: Any, by_stratum: Mapping[str, Mapping[str, evaluation.Scor
     """Draw mean IoU over the bands of tilt."""
     bands = list(evaluation.TILT_BANDS)
     for index, method in enumerate(next(iter(by_stratum.values()))):
-        found = {x: by_stratum[band][method] for x, band in enumerate(bands) if band in by_stratum}
-        spread = np.array([[s.iou - s.iou_low, s.iou_high - s.iou] for s in found.values()])
+        scores = {x: by_stratum[band][method] for x, band in enumerate(bands) if band in by_stratum}
+        spread = np.array([[s.iou - s.iou_low, s.iou_high - s.iou] for s in scores.values()])
         axes.errorbar(
-            list(found),
-            [score.iou for score in found.values()],
+            list(scores),
+            [score.iou for score in scores.values()],
             np.nan_to_num(spread.reshape(-1, 2)).clip(0.0).T,
             label=method,
             color=color_of(method),

@@ -30,7 +30,7 @@ def folds_of(ships: Ships, folds: int, seed: int = 0) -> NDArray[np.intp]:
 def held_out_folds(
     ships: Ships, folds: int, seed: int = 0
 ) -> Iterator[tuple[Ships, NDArray[np.bool_]]]:
-    """Yield, for each fold, the ships outside it and the mask, (N,), of those in it."""
+    """Yield the ships outside each fold, and a mask, (N,), of the ships in it."""
     fold = folds_of(ships, folds, seed)
     for index in range(folds):
         yield ships.take(fold != index), fold == index

@@ -2,8 +2,8 @@
 """
 The paper's grid search for q, f and s (Algorithm 2).
 
-`Bench` prepares ships so that a setting costs little: the half-extents are computed once per q and
-f, and the shrink factor only scales them.
+`Bench` prepares ships so that trying a setting is fast: the half-extents are computed once per q
+and f, and the shrink factor scales them.
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ def synthetic_ships(
         names += [class_name(family.name, full)] * (aspects * angles)
         outlines += [family.outline(full)] * (aspects * angles)
     axes = np.stack((long_axis, short_axis)).transpose(2, 0, 1)
-    hulls = [each @ turn + c for each, turn, c in zip(outlines, axes, center.T, strict=True)]
+    hulls = [hull @ turn + c for hull, turn, c in zip(outlines, axes, center.T, strict=True)]
     return Ships(
         boxes=OrientedBoxes(
             center.T,

@@ -92,9 +92,9 @@ def overlap_with_obb(xyxy: FloatArray, boxes: OrientedBoxes) -> Overlap:
     # Coordinates relative to the centre keep their digits.
     center = boxes.center
     corners, local = boxes.corners - center[:, None], xyxy - np.tile(center, 2)
-    known = np.isfinite(local).all(axis=1) & np.isfinite(corners).all(axis=(1, 2))
+    finite = np.isfinite(local).all(axis=1) & np.isfinite(corners).all(axis=(1, 2))
     shared = np.full(len(xyxy), np.nan)
-    shared[known] = _shared_area(shapely.polygons(corners[known]), local[known])
+    shared[finite] = _shared_area(shapely.polygons(corners[finite]), local[finite])
     return Overlap(shared, area(xyxy), boxes.length * boxes.width)
 
 
@@ -135,14 +135,14 @@ def hull_inside(xyxy: FloatArray, hulls: Sequence[FloatArray]) -> FloatArray:
 
 def outlines(hulls: Sequence[FloatArray | None]) -> NDArray[np.object_]:
     """Make geometries of hull polygons, (K, 2) each; None where there is none, or no area."""
-    found = np.full(len(hulls), None, object)
+    polygons = np.full(len(hulls), None, object)
     for row, hull in enumerate(hulls):
         if hull is not None and len(hull) >= 3:
-            found[row] = shapely.polygons(hull)
+            polygons[row] = shapely.polygons(hull)
     # Masks touch and cross themselves.
-    found = np.asarray(shapely.make_valid(found), object)
-    found[~(shapely.area(found) > 0.0)] = None
-    return found
+    polygons = np.asarray(shapely.make_valid(polygons), object)
+    polygons[~(shapely.area(polygons) > 0.0)] = None
+    return polygons
 
 
 def hull_share(xyxy: FloatArray, polygons: NDArray[np.object_]) -> FloatArray:
@@ -159,7 +159,7 @@ def hull_share(xyxy: FloatArray, polygons: NDArray[np.object_]) -> FloatArray:
     array([0.75])
     """
     share = np.full(len(xyxy), np.nan)
-    known = np.isfinite(xyxy).all(axis=1) & ~shapely.is_missing(polygons)
-    if known.any():
-        share[known] = _shared_area(polygons[known], xyxy[known]) / shapely.area(polygons[known])
+    rows = np.isfinite(xyxy).all(axis=1) & ~shapely.is_missing(polygons)
+    if rows.any():
+        share[rows] = _shared_area(polygons[rows], xyxy[rows]) / shapely.area(polygons[rows])
     return share

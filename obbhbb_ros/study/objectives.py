@@ -55,11 +55,6 @@ class Objective(ABC):
         if not 0.0 < self.keep <= 1.0:
             raise ValueError(f'keep must be in (0, 1], not {self.keep}')
 
-    @property
-    def too_few(self) -> str:
-        """What there are too few of, where the ships are not enough for a rule."""
-        return 'images'
-
     @abstractmethod
     def value(self, bench: Bench, extents: FloatArray) -> tuple[float, ...]:
         """

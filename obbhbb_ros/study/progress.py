@@ -14,7 +14,7 @@ Item = TypeVar('Item')
 def track(
     items: Iterable[Item], label: str, total: int | None = None, unit: str = 'images'
 ) -> Iterator[Item]:
-    """Yield items, and show on stderr how many are done; `label` says what is done."""
+    """Yield items and show on stderr how many are done; `label` names the work."""
     if sys.stderr.isatty():
         try:
             from tqdm import tqdm
@@ -35,5 +35,5 @@ def note(message: str) -> None:
 
 
 def printable(text: str) -> str:
-    """Escape what a terminal or a UTF-8 file could not take."""
-    return ''.join(each if each.isprintable() else ascii(each)[1:-1] for each in text)
+    """Escape what a terminal or a UTF-8 file cannot show."""
+    return ''.join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)

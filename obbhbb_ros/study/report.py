@@ -9,13 +9,12 @@ extra `plots`.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 from typing import Any
-from typing import NamedTuple
 
 import numpy as np
 
 from obbhbb_ros.geometry.boxes import FloatArray
-from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import figures
@@ -23,6 +22,7 @@ from obbhbb_ros.study import grid_search
 from obbhbb_ros.study import hulls
 from obbhbb_ros.study import metrics
 from obbhbb_ros.study import paper_table
+from obbhbb_ros.study import tables
 from obbhbb_ros.study.calibration import CalibrationPlan
 from obbhbb_ros.study.cross_validation import CALIBRATED
 from obbhbb_ros.study.cross_validation import CalibrationResult
@@ -33,22 +33,10 @@ from obbhbb_ros.study.pages import origin
 from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.rules import TUNABLE_METHODS
 from obbhbb_ros.study.ships import Ships
-from obbhbb_ros.study.tables import calibration_text
-from obbhbb_ros.study.tables import known_metrics
-from obbhbb_ros.study.tables import offset_notes
-from obbhbb_ros.study.tables import rule_text
-from obbhbb_ros.study.tables import tuned_text
 
 SENSITIVITY_F = np.round(np.arange(0.5, 1.5001, 0.025), 3)
 WIDTHS = {'wide, L/W < 4': (1.0, 4.0), 'L/W 4-6': (4.0, 6.0), 'narrow, L/W >= 6': (6.0, np.inf)}
-_FOLDS = 5
-
-
-class Picture(NamedTuple):
-    """A chart of the page, as an `<svg>` element, and the text for those who cannot see it."""
-
-    svg: str
-    alt: str
+_MAX_FOLDS = 5
 
 
 def report_page(
@@ -79,9 +67,8 @@ def report_page(
     if gallery < 0:
         raise ValueError(f'gallery must be 0 or more, not {gallery}')
     referenced = ships.take(ships.with_reference) if ships.with_reference.any() else None
-    protocol = 'hbb' if referenced else 'obb'
-    settings = evaluation.EvaluationSettings(seed=seed)
     protocols = tuple(PROTOCOLS) if referenced else ('obb',)
+    settings = evaluation.EvaluationSettings(seed=seed)
     scores = evaluation.evaluate(ships, DEFAULT_RULES, protocols, settings)
     result = _cross_validated(referenced, seed) if referenced else None
     templates = environment()
@@ -91,8 +78,8 @@ def report_page(
         RULES=DEFAULT_RULES,
         TUNABLE_METHODS=TUNABLE_METHODS,
         color_of=figures.color_of,
-        known_metrics=known_metrics,
-        tuned_text=tuned_text,
+        known_metrics=tables.known_metrics,
+        tuned_text=tables.tuned_text,
     )
     return templates.get_template('report.html').render(
         title=title,
@@ -102,14 +89,16 @@ def report_page(
         references=len(referenced) if referenced else 0,
         settings=settings,
         scores=evaluation.nested(scores),
-        notes=offset_notes(evaluation.offsets(referenced, settings=settings)) if referenced else [],
-        angles=Picture(
-            figures.svg(figures.angle_figure(scores)),
+        notes=tables.offset_notes(evaluation.offsets(referenced, settings=settings))
+        if referenced
+        else [],
+        angles=figures.svg(
+            figures.angle_figure(scores),
             'Mean IoU of every method in three bands of tilt, by protocol',
         ),
         calibration=_calibration(referenced, result) if referenced else None,
-        protocol=protocol,
-        cards=list(_cards(evaluation.ships_for(ships, protocol), protocol, gallery)),
+        protocol=protocols[-1],
+        cards=list(_cards(evaluation.ships_for(ships, protocols[-1]), protocols[-1], gallery)),
         **_synthetic_study(seed),
     )
 
@@ -125,22 +114,22 @@ def conclusion(ships: Ships | None, result: CalibrationResult | None) -> str:
     result : CalibrationResult or None
         Their calibration, if they lie in more than one image.
     """
-    default = f'the default, q {HullRule().q:g}'
+    default = f'the default, q {DEFAULT_RULES["superellipse"].q:g}'
     if ships is None:
         return (
             f'No ship has a reference box, so no best q can be found: use {default}, and give '
             'labels with reference boxes to calibrate.'
         )
     if result is None or not result.held_out:
-        iou = {
-            name: metrics.iou(convert_by_rule(ships.boxes, HullRule(name)), ships.reference).mean()
+        iou, outer = (
+            metrics.iou(convert_by_rule(ships.boxes, DEFAULT_RULES[name]), ships.reference).mean()
             for name in ('superellipse', 'outer')
-        }
+        )
         return (
             f'Too few images to calibrate on some and measure on others: use {default}, whose mean '
-            f'IoU is {iou["superellipse"]:.4f}, where the outer box has {iou["outer"]:.4f}.'
+            f'IoU is {iou:.4f}, where the outer box has {outer:.4f}.'
         )
-    best, gain = rule_text(result.rule), result.gain(CALIBRATED, 'default')
+    best, gain = tables.rule_text(result.rule), result.gain(CALIBRATED, 'default')
     name = CALIBRATED if gain.earned else 'default'
     over_outer = result.gain(name, 'outer')
     mean = result.held_out[name]['iou'].mean()
@@ -159,52 +148,45 @@ def conclusion(ships: Ships | None, result: CalibrationResult | None) -> str:
 
 def _cross_validated(ships: Ships, seed: int) -> CalibrationResult | None:
     """Calibrate on ships with reference boxes; None if they lie in one image."""
-    folds = _folds(ships)
+    folds = min(_MAX_FOLDS, ships.image_count)
     return run(ships, CalibrationPlan(seed=seed), folds, by_aspect=True) if folds > 1 else None
-
-
-def _folds(ships: Ships) -> int:
-    """Count the folds of the cross-validation."""
-    return min(_FOLDS, ships.image_count)
 
 
 def _calibration(ships: Ships, result: CalibrationResult | None) -> dict[str, Any]:
     """Describe the calibration on ships with reference boxes, and draw what it depends on."""
-    text = calibration_text(result) if result else None
-    return {'folds': _folds(ships), 'text': text, **_parameter_figures(ships)}
+    text = tables.calibration_text(result) if result else None
+    return {'folds': min(_MAX_FOLDS, ships.image_count), 'text': text, **_parameter_figures(ships)}
 
 
 def _synthetic_study(seed: int) -> dict[str, Any]:
     """Measure and draw the synthetic hulls, and compare them with the paper's Table 1."""
     ships, comparison = hulls.synthetic_ships(seed=seed), paper_table.paper_comparison()
+    rows = tuple(paper_table.PAPER_ROWS)
     return {
         'comparison': comparison,
-        'rows': [(full, row) for full in hulls.FULLNESS for row in paper_table.PAPER_ROWS],
-        'deviations': {
-            row: paper_table.mean_deviation(comparison, row) for row in paper_table.PAPER_ROWS
-        },
-        'hulls': Picture(
-            figures.svg(figures.hull_panel()),
+        'rows': list(product(hulls.FULLNESS, rows)),
+        'deviations': {row: paper_table.mean_deviation(comparison, row) for row in rows},
+        'hulls': figures.svg(
+            figures.hull_panel(),
             'The synthetic hulls by family and fullness, with their oriented and reference boxes',
         ),
-        'errors': Picture(
-            figures.svg(figures.error_figure(_best_errors(ships))),
+        'errors': figures.svg(
+            figures.error_figure(_best_errors(ships)),
             "Smallest mean relative error on the paper's grid by method, family and fullness",
         ),
         'synthetic': _parameter_figures(ships),
     }
 
 
-def _parameter_figures(ships: Ships) -> dict[str, Picture]:
+def _parameter_figures(ships: Ships) -> dict[str, str]:
     """Draw how mean IoU depends on the parameters."""
-    surfaces = {name: _paper_grid(ships, name) for name in TUNABLE_METHODS}
     return {
-        'surfaces': Picture(
-            figures.svg(figures.surface_figure(surfaces)),
+        'surfaces': figures.svg(
+            figures.surface_figure({name: _paper_grid(ships, name) for name in TUNABLE_METHODS}),
             "Mean IoU over q and f on the paper's grid, by method; a frame marks the best",
         ),
-        'sensitivity': Picture(
-            figures.svg(figures.sensitivity_figure(SENSITIVITY_F, _sensitivity(ships))),
+        'sensitivity': figures.svg(
+            figures.sensitivity_figure(SENSITIVITY_F, _sensitivity(ships)),
             'Mean IoU over f for wide, medium and narrow hulls, by method; a dot marks the best f',
         ),
     }
@@ -235,13 +217,13 @@ def _sensitivity(ships: Ships) -> dict[str, dict[str, FloatArray]]:
 def _best_errors(ships: Ships) -> dict[str, dict[str, FloatArray]]:
     """Find the smallest mean relative error on the paper's grid by method, family and fullness."""
 
-    def least(method: str, family: str, full: float) -> float:
-        mine = ships.take(ships.class_ids == hulls.class_name(family, full))
-        return float(_paper_grid(mine, method).relative_error.min())
+    def min_error(method: str, family: str, full: float) -> float:
+        members = ships.take(ships.class_ids == hulls.class_name(family, full))
+        return float(_paper_grid(members, method).relative_error.min())
 
     return {
         method: {
-            family: np.array([least(method, family, full) for full in hulls.FULLNESS])
+            family: np.array([min_error(method, family, full) for full in hulls.FULLNESS])
             for family in hulls.FAMILIES
         }
         for method in TUNABLE_METHODS
@@ -254,8 +236,8 @@ def _cards(ships: Ships, protocol: str, count: int) -> Iterator[dict[str, Any]]:
     scores = {name: evaluation.overlap(ships, xyxy, protocol).iou for name, xyxy in boxes.items()}
     for row in np.argsort(scores['superellipse'], kind='stable')[:count].tolist():
         corners, reference = ships.boxes.corners[row], ships.reference[row]
-        mine = {name: xyxy[row] for name, xyxy in boxes.items()}
-        points = np.concatenate([corners, np.reshape([reference, *mine.values()], (-1, 2))])
+        by_method = {name: xyxy[row] for name, xyxy in boxes.items()}
+        points = np.concatenate([corners, np.reshape([reference, *by_method.values()], (-1, 2))])
         low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
         margin = 0.05 * float(np.max(high - low))
         yield {
@@ -266,7 +248,7 @@ def _cards(ships: Ships, protocol: str, count: int) -> Iterator[dict[str, Any]]:
             'corners': corners,
             'hull': ships.hulls[row],
             'reference': reference if ships.with_reference[row] else None,
-            'boxes': mine,
+            'boxes': by_method,
             'iou': {name: values[row] for name, values in scores.items()},
             # Left, top, width and height.
             'view': (*(low - margin), *(high - low + 2.0 * margin)),

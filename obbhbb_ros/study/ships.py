@@ -27,7 +27,7 @@ from obbhbb_ros.study.matching import match_references
 from obbhbb_ros.study.metrics import outlines
 from obbhbb_ros.study.progress import track
 
-# Beside what labels say: the end of the hull with less area.
+# `hull`: the end of the hull with less area; the others as the labels say.
 BOWS = (*BOW_SOURCES, 'hull')
 
 
@@ -74,7 +74,7 @@ class Ships:
         no ship remains.
         """
         labels = list(images)
-        image_of = [each.image for each in labels for _ in each.class_ids]
+        image_of = [image.image for image in labels for _ in image.class_ids]
         if not image_of:
             raise ValueError('no ships in the labels')
         if bow not in BOWS:
@@ -82,15 +82,15 @@ class Ships:
         boxes = _boxes(labels, bow)
         ships = cls(
             boxes=boxes,
-            reference=np.concatenate([each.reference for each in labels]),
-            class_ids=np.array([name for each in labels for name in each.class_ids]),
+            reference=np.concatenate([image.reference for image in labels]),
+            class_ids=np.array([name for image in labels for name in image.class_ids]),
             image_of=_numbered(image_of),
             names=tuple(
-                f'{each.image} {name or row}'
-                for each in labels
-                for row, name in enumerate(each.ids)
+                f'{image.image} {name or row}'
+                for image in labels
+                for row, name in enumerate(image.ids)
             ),
-            hulls=tuple(hull for each in labels for hull in each.hulls),
+            hulls=tuple(hull for image in labels for hull in image.hulls),
             skipped=int(np.sum(~boxes.valid)),
         )
         if ships.skipped:
@@ -103,7 +103,7 @@ class Ships:
 
     def take(self, rows: Any) -> Ships:
         """
-        Select ships by any NumPy index of N rows; their images are numbered anew.
+        Select ships by any NumPy index of N rows; their images are renumbered.
 
         Raises ValueError if none is selected.
         """
@@ -123,8 +123,8 @@ class Ships:
     def class_index(self, names: Iterable[str]) -> NDArray[np.intp]:
         """Find the class of each ship among some classes: its index, -1 if it is another."""
         number = {name: index for index, name in enumerate(names)}
-        found = [number.get(name, -1) for name in self.class_ids.tolist()]
-        return np.array(found, dtype=np.intp)
+        numbers = [number.get(name, -1) for name in self.class_ids.tolist()]
+        return np.array(numbers, dtype=np.intp)
 
     @property
     def image_count(self) -> int:
@@ -213,14 +213,15 @@ def read_ships(
 
 def _boxes(labels: Sequence[ImageLabels], bow: str) -> OrientedBoxes:
     """Join the boxes of images, with the bows that the labels know."""
-    corners = np.concatenate([each.corners for each in labels])
+    corners = np.concatenate([image.corners for image in labels])
     if bow == 'first-edge':
         return OrientedBoxes.from_corners(corners, bow=True)
-    if bow == 'labels' and any(each.bow is not None for each in labels):
-        known = [
-            np.zeros(len(each.class_ids), bool) if each.bow is None else each.bow for each in labels
+    if bow == 'labels' and any(image.bow is not None for image in labels):
+        bows = [
+            np.zeros(len(image.class_ids), bool) if image.bow is None else image.bow
+            for image in labels
         ]
-        return OrientedBoxes.from_corners(corners, bow=np.concatenate(known))
+        return OrientedBoxes.from_corners(corners, bow=np.concatenate(bows))
     return OrientedBoxes.from_corners(corners)
 
 

@@ -163,30 +163,15 @@ def calibration_text(result: CalibrationResult) -> str:
 
 def _held_out_table(result: CalibrationResult) -> str:
     """Tabulate the metrics on held-out images."""
+    settings = evaluation.EvaluationSettings(keep=result.calibrator.plan.objective.keep)
+    shown = {name: evaluation.METRICS[name] for name in ('match', 'undershoot', 'kept', 'area')}
+    head = ['protocol hbb, held out', 'mean IoU', '95 % interval']
+    head += [metric.heading(settings) for metric in shown.values()]
     rows = []
     for name, values in result.held_out.items():
-        mean = {key: value.mean() for key, value in values.items()}
         low, high = result.interval(name)
-        rows.append(
-            (
-                name,
-                f'{mean["iou"]:.4f}',
-                f'{low:.3f}-{high:.3f}',
-                f'{mean["match"]:.4f}',
-                f'{mean["undershoot"]:.4f}',
-                f'{mean["kept"]:.1%}',
-                f'{mean["area"]:.4f}',
-            )
-        )
-    head = (
-        'protocol hbb, held out',
-        'mean IoU',
-        '95 % interval',
-        'match50',
-        'undershoot',
-        f'keep {result.calibrator.plan.objective.keep:.0%}',
-        'area/outer',
-    )
+        cells = [f'{values[key].mean():{metric.form}}' for key, metric in shown.items()]
+        rows.append([name, f'{values["iou"].mean():.4f}', f'{low:.3f}-{high:.3f}', *cells])
     return text_table(head, rows)
 
 
@@ -194,13 +179,9 @@ def _decision_lines(result: CalibrationResult) -> list[str]:
     """Report what was tried beside q, what it gained and whether it was fitted."""
     calibrator = result.calibrator
     objective = calibrator.plan.objective
-    beside_q = ' and '.join(objective.parameters[1:])
+    beside_q, unit = ' and '.join(objective.parameters[1:]), objective.unit
     ends = f'q_bow and q_stern over q, {result.ships.with_bow.sum()} ships with a known bow'
-    gains = {
-        f'{beside_q} over q alone': calibrator.gain_of_f_and_s,
-        ends: calibrator.gain_of_ends,
-    }
-    unit = objective.unit
+    gains = {f'{beside_q} over q alone': calibrator.gain_of_f_and_s, ends: calibrator.gain_of_ends}
     return [
         f'{name}: gain {gain:+.4f} of held-out {unit}, fitted'
         if gain >= MIN_GAIN

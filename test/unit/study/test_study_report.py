@@ -121,7 +121,7 @@ def test_ships_of_one_image_are_not_calibrated() -> None:
     ships = referenced_by(HullRule())
     one = replace(ships, image_of=np.zeros(len(ships), int))
     text = sentence(report.report_page(one, 'one image', gallery=0))
-    outer = iou(convert(one.boxes, 'outer'), one.reference).mean()
+    outer = iou(convert(one.boxes, method='outer'), one.reference).mean()
     assert text.startswith('Too few images')
     assert f'whose mean IoU is 1.0000, where the outer box has {outer:.4f}.' in text
 
