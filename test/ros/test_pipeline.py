@@ -56,7 +56,7 @@ def assert_same(data, values=None, input_type=DETECTIONS):
     """Hold pipeline and reference together; crops alone, and after the boxes."""
     settings = OBB_TO_HBB.settings(values or {})
     reference = Reference(data, input_type, settings, IMAGE_SIZE)
-    regions = reference.crop_regions_message(reference.plan_crops())
+    regions = reference.crop_regions_message()
     assert regions_of(Batch(data, input_type, settings, IMAGE_SIZE)) == regions
     batch = Batch(data, input_type, settings, IMAGE_SIZE)
     assert batch.boxes_message() == reference.boxes_message()
