@@ -117,13 +117,15 @@ def answer(
     wants_boxes = bool(outputs.boxes.wanted())
     wants_crops = (False, False) if wants_boxes else _crops_wanted(outputs)
     if not wants_boxes and not any(wants_crops):
-        return ConversionOutcome(Counter(messages_without_subscriber=1), {})
+        return ConversionOutcome(Counter({'messages_without_subscriber': 1}), {})
     width, height = (
         size or seen for size, seen in zip(settings.image_size, camera_size, strict=True)
     )
     image_size = (width, height) if width and height else None
     if image_size is None and not settings.input_frame.is_image:
-        return ConversionOutcome(Counter(messages_without_image_size=1), _no_size(['no boxes']))
+        return ConversionOutcome(
+            Counter({'messages_without_image_size': 1}), _no_size(['no boxes'])
+        )
     batch = Batch(data, input_type, settings, image_size)
     if wants_boxes:
         outputs.boxes.publish(batch.boxes_message())
@@ -229,7 +231,7 @@ class Batch:
         self._regular, self._defects = boxes.regular, boxes.defects
         if settings.clip_boxes and image_size:
             self._clip(image_size)
-        self.counts = Counter(messages_converted=1, detections_received=len(detections))
+        self.counts = Counter({'messages_converted': 1, 'detections_received': len(detections)})
         self.complaint = ''
         if not self._regular:
             invalid, self.complaint = self._report_invalid()
