@@ -69,9 +69,9 @@ DEFAULT_OBJECTIVE = MeanIou()
 
 
 class Fit(Enum):
-    """Whether to fit parameters beside q."""
+    """Whether to fit parameters beside q; automatically: if they gain `MIN_GAIN` held out."""
 
-    AUTO = 'if they gain `MIN_GAIN` or more on held-out images'
+    AUTO = 'auto'
     ALWAYS = 'always'
     NEVER = 'never'
 

@@ -349,17 +349,14 @@ def evaluate(
                 settings.seed,
             )
             for (name, rule), (low, high) in zip(rules.items(), intervals, strict=True):
-                means = {key: mean(value[rows]) for key, value in values[name].items()}
+                means: dict[str, Any] = {
+                    key: mean(value[rows]) for key, value in values[name].items()
+                }
                 scores.append(
                     Score(
                         protocol=protocol,
                         stratum=stratum,
-                        method=name,
-                        q=rule.q,
-                        f=rule.f,
-                        s=rule.s,
-                        q_bow=rule.q_bow,
-                        q_stern=rule.q_stern,
+                        **(asdict(rule) | {'method': name}),
                         ships=len(images),
                         images=len(np.unique(images)),
                         iou_low=low,

@@ -2,9 +2,9 @@
 """
 The synthetic harbour in the package.
 
-`python -m obbhbb_ros.study.harbour FILE` writes it; a test compares the file in the package with
-it. Ships of random size lie at anchor or side by side at piers, and their hulls are one outline
-scaled to each ship.
+`python -m obbhbb_ros.study.harbour FILE` writes it; a test compares it with the file in the
+package. Ships of random size lie at anchor or side by side at piers, and their hulls are one
+outline scaled to each ship.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _PIERS = ((170.0, 330.0, 0.35), (520.0, 560.0, -0.9), (820.0, 250.0, 1.25))
 _BERTHS = 5
 _ANCHORED = 22
 _GAP = 6.0
-# Of the ships from image to image, pixels.
+# Shift of the ships from one image to the next, pixels.
 _DRIFT = (-6.0, 4.0)
 
 

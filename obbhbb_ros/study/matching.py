@@ -34,7 +34,7 @@ def match_references(
     Parameters
     ----------
     boxes : iterable of ImageLabels
-        The oriented boxes; their own `reference` is ignored.
+        The oriented boxes; their `reference` is ignored.
     references : iterable of ImageLabels
         The reference boxes, in `reference`; NaN rows are ignored.
     min_iou : float
@@ -82,8 +82,8 @@ def match_boxes(
     """
     Match each box of an image, (N, 4), to at most one reference, (M, 4); best IoU first.
 
-    Returns the rows of `boxes` and of `references` of each pair, by falling IoU; NaN rows match
-    nothing.
+    Returns the rows of `boxes` and of `references` of each pair, the best pair first; NaN rows
+    match nothing.
     """
     rows, others = (np.flatnonzero(np.isfinite(xyxy).all(axis=1)) for xyxy in (boxes, references))
     # Only the pairs that touch: all pairs of a large scene would be millions.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write calibrated rules as a parameter file of the node."""
+"""Write calibrated rules as a parameter file for the node."""
 
 from __future__ import annotations
 
