@@ -108,16 +108,21 @@ def setting(default: T, meaning: str, limits: Limits | None = None) -> T:
     return made
 
 
-def check_settings(settings: Any) -> None:
+class CheckedSettings:
     """
-    Check each field of a dataclass against its limits; None passes.
+    A dataclass of settings that checks itself: every value against its limits; None passes.
 
     Raises
     ------
     ValueError
         If a value is out of its limits; the message begins with the name of the field.
+    TypeError
+        If a value that must be a number is none.
     """
-    for item in fields(settings):
-        value, limits = getattr(settings, item.name), item.metadata.get('limits')
-        if limits is not None and value is not None:
-            limits.check(item.name, value)
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        for item in fields(self):  # type: ignore[arg-type]
+            value, limits = getattr(self, item.name), item.metadata.get('limits')
+            if limits is not None and value is not None:
+                limits.check(item.name, value)

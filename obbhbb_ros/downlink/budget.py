@@ -17,13 +17,13 @@ from obbhbb_ros.downlink.chips import EncodedChip
 from obbhbb_ros.downlink.chips import encode
 from obbhbb_ros.limits import MAX_BYTES
 from obbhbb_ros.limits import MAX_INT
+from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Range
-from obbhbb_ros.limits import check_settings
 from obbhbb_ros.limits import setting
 
 
 @dataclass(frozen=True)
-class LinkSettings:
+class LinkSettings(CheckedSettings):
     """What a link carries; ValueError if a value is out of range."""
 
     bytes_per_second: float = setting(
@@ -37,10 +37,6 @@ class LinkSettings:
     overhead: int = setting(
         0, 'Bytes that the protocol adds to the file of each chip.', Range(0, 1_000_000)
     )
-
-    def __post_init__(self) -> None:
-        """Check every value."""
-        check_settings(self)
 
     @property
     def bucket_size(self) -> float:

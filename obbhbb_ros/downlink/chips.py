@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from obbhbb_ros.errors import ObbhbbError
+from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Choices
 from obbhbb_ros.limits import Range
-from obbhbb_ros.limits import check_settings
 from obbhbb_ros.limits import setting
 from obbhbb_ros.wire.image import WireImage
 
@@ -115,7 +115,7 @@ CODECS: dict[str, Codec] = {
 
 
 @dataclass(frozen=True)
-class CodecSettings:
+class CodecSettings(CheckedSettings):
     """
     How chips are encoded; ValueError if values are out of range or in conflict.
 
@@ -138,7 +138,7 @@ class CodecSettings:
 
     def __post_init__(self) -> None:
         """Check every value and their combination."""
-        check_settings(self)
+        super().__post_init__()
         if self.lossless and not CODECS[self.codec].lossless:
             raise ValueError(f'lossless: {self.codec} cannot be; use png, webp or jpeg2000')
 

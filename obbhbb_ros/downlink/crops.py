@@ -24,8 +24,8 @@ from obbhbb_ros.downlink.merging import Pixels
 from obbhbb_ros.downlink.merging import merge_regions
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.limits import MAX_INT
+from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Range
-from obbhbb_ros.limits import check_settings
 from obbhbb_ros.limits import setting
 from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 
@@ -45,7 +45,7 @@ class LeftOut(str, Enum):
 
 
 @dataclass(frozen=True)
-class CropSettings:
+class CropSettings(CheckedSettings):
     """
     How boxes become regions; ValueError if values are out of range or in conflict.
 
@@ -105,7 +105,7 @@ class CropSettings:
 
     def __post_init__(self) -> None:
         """Check every value and their combination."""
-        check_settings(self)
+        super().__post_init__()
         if 0 < self.max_size < self.min_size:
             raise ValueError(
                 f'max_size ({self.max_size}) must not be smaller than min_size ({self.min_size})'

@@ -16,8 +16,8 @@ from enum import Enum
 from typing import Generic
 from typing import TypeVar
 
+from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Range
-from obbhbb_ros.limits import check_settings
 from obbhbb_ros.limits import setting
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import nanoseconds_of
@@ -131,7 +131,7 @@ class StampCache(Generic[Item]):
 
 
 @dataclass(frozen=True)
-class PairLimits:
+class PairLimits(CheckedSettings):
     """How images and crop plans wait for each other; ValueError if a value is out of range."""
 
     images: int = setting(
@@ -152,10 +152,6 @@ class PairLimits:
         'Maximum difference between the stamps of an image and its crop plan, seconds.',
         Range(0.0, 3600.0),
     )
-
-    def __post_init__(self) -> None:
-        """Check every value."""
-        check_settings(self)
 
 
 class JoinerSide(Generic[Item]):

@@ -18,8 +18,8 @@ from obbhbb_ros.geometry.boxes import blocks
 from obbhbb_ros.geometry.boxes import longer_first
 from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.geometry.methods import get_method
+from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Range
-from obbhbb_ros.limits import check_settings
 from obbhbb_ros.limits import require_number
 from obbhbb_ros.limits import setting
 
@@ -42,7 +42,7 @@ F_RANGE = S_RANGE = Range(0.0, 2.0, above=True)
 
 
 @dataclass(frozen=True)
-class HullRule:
+class HullRule(CheckedSettings):
     """
     A conversion rule with its shape parameters.
 
@@ -75,7 +75,7 @@ class HullRule:
     method: str = 'superellipse'
     q: float = setting(
         3.0,
-        'Shape exponent of the hull: 1 is a rhombus, 2 an ellipse, inf a rectangle.',
+        'Shape exponent of the hull: 1 is a rhombus, 2 an ellipse, infinity (.inf) a rectangle.',
         Q_RANGE,
     )
     f: float = setting(1.0, 'Fullness: factor on the half-width of the hull.', F_RANGE)
@@ -86,7 +86,7 @@ class HullRule:
     def __post_init__(self) -> None:
         """Check every value."""
         get_method(self.method)
-        check_settings(self)
+        super().__post_init__()
 
     @property
     def ends(self) -> tuple[float, float]:

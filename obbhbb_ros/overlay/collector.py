@@ -14,8 +14,8 @@ from typing import TypeVar
 
 from obbhbb_ros.downlink.joiner import IMAGES_KEPT
 from obbhbb_ros.downlink.joiner import StampCache
+from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Range
-from obbhbb_ros.limits import check_settings
 from obbhbb_ros.limits import setting
 from obbhbb_ros.wire.stamp import Stamp
 
@@ -35,7 +35,7 @@ class NotDrawn(str, Enum):
 
 
 @dataclass(frozen=True)
-class CollectorLimits:
+class CollectorLimits(CheckedSettings):
     """How images and their layers wait for each other; ValueError if a value is out of range."""
 
     max_wait: float = setting(
@@ -54,10 +54,6 @@ class CollectorLimits:
         'Maximum images that wait for their layers; the oldest is dropped first.',
         Range(1, 1000),
     )
-
-    def __post_init__(self) -> None:
-        """Check every value."""
-        check_settings(self)
 
 
 @dataclass

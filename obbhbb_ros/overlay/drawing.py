@@ -25,8 +25,8 @@ from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Range
-from obbhbb_ros.limits import check_settings
 from obbhbb_ros.limits import setting
 from obbhbb_ros.wire.image import WireImage
 
@@ -61,7 +61,7 @@ class OverlayError(ObbhbbError, ValueError):
 
 
 @dataclass(frozen=True)
-class Style:
+class Style(CheckedSettings):
     """How a picture is drawn; ValueError if a value is out of range."""
 
     scale: float = setting(
@@ -79,10 +79,6 @@ class Style:
     labels: bool = setting(
         True, 'Write class and score beside the detections, best score first, where there is room.'
     )
-
-    def __post_init__(self) -> None:
-        """Check every value."""
-        check_settings(self)
 
     def line_width_for(self, size: tuple[int, int]) -> int:
         """Return the line width of a picture of `size`, pixels."""
