@@ -383,7 +383,7 @@ class OrientedBoxes:
         """
         Corners in order around each box, pixels, shape (N, 4, 2).
 
-        The first two are a short side; the bow, where it is known, may be at either end.
+        The first edge is a long side. The order does not depend on the bow.
         """
         c, u, v = self.center, self.long_axis, self.short_axis
         with np.errstate(over='ignore', invalid='ignore'):

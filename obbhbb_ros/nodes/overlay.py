@@ -29,7 +29,7 @@ from obbhbb_ros.nodes.parts import steady_timer
 from obbhbb_ros.overlay.collector import LayerCollector
 from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.overlay.drawing import OverlayError
-from obbhbb_ros.overlay.frame import OverlayFrame
+from obbhbb_ros.overlay.overlay_frame import OverlayFrame
 from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.overlay import OverlaySettings
 from obbhbb_ros.wire.detections import Detections

@@ -11,7 +11,7 @@ from typing import Any
 from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.overlay.collector import CollectorLimits
 from obbhbb_ros.overlay.drawing import Style
-from obbhbb_ros.overlay.frame import FrameSettings
+from obbhbb_ros.overlay.overlay_frame import FrameSettings
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
 from obbhbb_ros.settings.detection_input import DETECTION_INPUT
 from obbhbb_ros.settings.detection_input import input_frame

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the package is built: which room imports which, as the table of CONTRIBUTING says."""
+"""How the package is built: imports as in CONTRIBUTING, unique names, no private names in tests."""
 
 import ast
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -80,3 +81,49 @@ def test_only_nodes_and_launch_files_import_ros() -> None:
         if ros & {module.partition('.')[0] for module in imported(tree)}
     }
     assert users == {'nodes/', 'launching.py'}
+
+
+def test_no_two_classes_have_one_name() -> None:
+    names = Counter(
+        node.name
+        for tree in TREES.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+    )
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_no_two_modules_have_one_name_but_a_node_and_its_settings() -> None:
+    names = Counter(
+        path.stem
+        for path in MODULES
+        if path.stem not in ('__init__', '__main__')
+        and not (path.parent.name == 'settings' and (PACKAGE / 'nodes' / path.name).exists())
+    )
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+# Public by their documentation, or of other packages.
+NOT_PRIVATE = {'_asdict', '_exit', '_replace', '_AckedModeParams'}
+
+
+def private_names(tree: ast.AST) -> Iterator[str]:
+    """Return the private names of others that a module uses, or patches."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ('self', 'cls'):
+            names = [node.attr]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith('setattr'):
+            names = [str(a.value).split('.')[-1] for a in node.args if isinstance(a, ast.Constant)]
+        else:
+            continue
+        yield from (name for name in names if re.match('_[^_]', name))
+
+
+@pytest.mark.parametrize(
+    'path', sorted((ROOT / 'test').rglob('*.py')), ids=lambda path: str(path.relative_to(ROOT))
+)
+def test_tests_use_public_names_only(path: Path) -> None:
+    tree = ast.parse(path.read_text(encoding='utf-8'))
+    assert set(private_names(tree)) <= NOT_PRIVATE

@@ -24,7 +24,8 @@ from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.labels import read_labels
-from obbhbb_ros.nodes.play_detections import _xywhr
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import assemble
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.nodes.play_detections import yolo_message
 
@@ -104,9 +105,19 @@ def test_the_player_tells_the_node_where_the_bow_is(
 
 def test_no_box_of_unknown_bow_gets_one_on_the_way_not_even_a_square() -> None:
     sent = [[50, 50, 10, 10, 0.3], [50, 50, 40, 10, 0.3], [50, 50, 40, 10, 2.0], [9, 9, 5, 5, 1.0]]
-    boxes = OrientedBoxes.from_xywhr(sent, bow=np.array([False, False, True, True]))
-    received = OrientedBoxes.from_xywhr(_xywhr(boxes), bow=True)
-    np.testing.assert_array_equal(received.bow, [False, False, True, True])
+    # From a short side on, which may be the bow end.
+    corners = np.roll(OrientedBoxes.from_xywhr(sent).corners, -1, axis=1)
+    known = [False, False, True, True]
+    ships = [
+        Box(tuple(row), 'ship', bow=bow)
+        for row, bow in zip(corners.reshape(-1, 8).tolist(), known, strict=True)
+    ]
+    labels = assemble('harbour', ships, None, Path('harbour.txt'))
+    boxes = labels.boxes('labels')
+    message = detections_message(labels, Header(), 'labels')
+    received = OrientedBoxes.from_xywhr(rows_of(message), bow=True)
+    np.testing.assert_array_equal(received.bow, known)
+    np.testing.assert_array_equal(boxes.bow, known)
     np.testing.assert_allclose(convert(received), convert(boxes), rtol=1e-8)
 
 
