@@ -191,7 +191,7 @@ def add_boxes(
         try:
             return _replay(source, partial_bag, options, report, progress)
         except DamagedBagError as error:
-            report(f'{source} is damaged: {error}; what can be read is converted')
+            report(f'{source} is damaged: {error}; converting what can be read')
         shutil.rmtree(partial_bag, ignore_errors=True)
         rescued = partial_bag.parent / 'rescued' / partial_bag.name
         lost = rescue(source, rescued, report)
@@ -278,7 +278,7 @@ def _writer(source: Path, target: Path, reader: Reader, options: ReplayOptions) 
     if not compression and storage == 'mcap' and is_mcap and _has_compressed_chunks(files[0]):
         compression = 'storage'
     if (storage, compression) == ('sqlite3', 'storage'):
-        raise ValueError('compression storage is one of mcap, not of sqlite3')
+        raise ValueError('compression storage needs mcap, not sqlite3')
     writer = Writer(target, version=VERSION, storage_plugin=StoragePlugin[storage.upper()])
     mode = CompressionMode[(compression or 'none').upper()]
     writer.set_compression(mode, CompressionFormat.ZSTD)
@@ -448,7 +448,7 @@ def _converted(
             for done, future in waiting:
                 yield done, future.result()
     except BrokenExecutor as error:
-        raise ChildProcessError(f'a process that converts messages has ended: {error}') from None
+        raise ChildProcessError(f'a process that converts messages has died: {error}') from None
 
 
 def _start(pool: ProcessPoolExecutor, processes: int) -> None:

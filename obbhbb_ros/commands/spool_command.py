@@ -126,7 +126,7 @@ def _revalue_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace)
     if not math.isfinite(factor + addend):
         raise ValueError('revalue: the value must be finite')
     if factor < 0.0:
-        raise ValueError('revalue: --by must be 0 or more: less would turn the order round')
+        raise ValueError('revalue: --by must be 0 or more: less would reverse the order')
     print(f'{console.revalue(chips, factor, addend)} chips revalued')
     return 0
 

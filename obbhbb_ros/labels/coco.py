@@ -152,7 +152,7 @@ def _rings(segmentation: object) -> list[FloatArray]:
         numbers = documents.json_numbers(polygon, None, 'segmentation')
         if len(numbers) < 6 or len(numbers) % 2:
             count = len(numbers)
-            raise ValueError(f'a polygon of {count} numbers: x and y of three points or more')
+            raise ValueError(f'a polygon has {count} numbers, not x and y of at least three points')
         rings.append(np.array(numbers).reshape(-1, 2))
     return rings
 

@@ -147,7 +147,7 @@ def _parse_hull(field: str) -> FloatArray | None:
         return None
     points = [point.split() for point in field.split(';')]
     if len(points) < MIN_HULL_POINTS or any(len(point) != 2 for point in points):
-        raise ValueError("mask is not a polygon 'x y;x y;x y', three points or more")
+        raise ValueError("mask is not a polygon 'x y;x y;x y' of at least three points")
     numbers = text.parse_numbers([number for point in points for number in point])
     hull = np.array(numbers, dtype=np.float64).reshape(-1, 2)
     shapes.check_coordinates(hull)

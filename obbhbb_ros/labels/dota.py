@@ -74,7 +74,7 @@ def _sniff(head: str) -> bool:
 def _looks_like_box(fields: list[str]) -> bool:
     if len(fields) not in COUNTS or not all(map(text.is_number, fields[:8])):
         return False
-    # If the category is a number, the line could be YOLO-OBB: but there the coordinates are
+    # With a number as category the line could be YOLO-OBB; but there the coordinates are
     # fractions of the image, and here they are pixels.
     return not text.is_number(fields[8]) or not text.is_normalised(map(float, fields[1:8]))
 

@@ -60,7 +60,7 @@ def target_files(
     images = list(images)
     if path.suffix.lower() == suffix and not path.is_dir():
         if len(images) != 1:
-            raise ValueError(f'{path}: one file holds one image, not {len(images)}: give a folder')
+            raise ValueError(f'{path}: one file holds one image, not {len(images)}: use a folder')
         return [(path, images[0])]
     targets: dict[str, AnyImage] = {}
     for image in images:

@@ -35,7 +35,7 @@ from obbhbb_ros.labels.label_format import Format
 from obbhbb_ros.labels.label_format import names
 from obbhbb_ros.labels.shapes import check_coordinates
 
-# Blank files are read in the first format that has their suffix.
+# Blank files have the first format of their suffix.
 _ALL = (
     dota.FORMAT,
     yolo.ORIENTED,
@@ -56,7 +56,7 @@ _HEAD_BYTES = 16384
 def format_named(name: str) -> Format:
     """Return the format of that name; raise ValueError, which lists all names, if none has it."""
     if name not in FORMATS:
-        raise ValueError(f'unknown label format {name!r}: known are {names(FORMATS.values())}')
+        raise ValueError(f'unknown label format {name!r}: use {names(FORMATS.values())}')
     return FORMATS[name]
 
 
@@ -104,7 +104,7 @@ def find_labels(path: Path, name: str | None = None) -> LabelSource:
     files = label_files(path, suffixes)
     candidates = _formats_by_content(files)
     if len(candidates) > 1:
-        raise ValueError(f'{path}: more than one label format: {names(candidates)}: give one')
+        raise ValueError(f'{path}: more than one label format: name one of {names(candidates)}')
     chosen = candidates[0] if candidates else _format_by_suffix(path, files)
     return LabelSource(chosen, [file for file in files if _suffix(file) in chosen.suffixes])
 
@@ -152,7 +152,7 @@ def _format_by_suffix(path: Path, files: Sequence[Path]) -> Format:
     blank = all(not _head(file).strip() for file in files)
     if len(candidates) == 1 or (candidates and blank):
         return next(iter(candidates.values()))
-    raise ValueError(f'{path}: cannot detect the label format: known are {names(FORMATS.values())}')
+    raise ValueError(f'{path}: cannot detect the label format: use {names(FORMATS.values())}')
 
 
 def _formats_of(file: Path) -> list[Format]:
@@ -337,7 +337,7 @@ def _format_to_write(path: Path, name: str | None, able: list[Format], what: str
         # A suffix of two formats belongs to the one whose first suffix it is.
         fitting = [entry for entry in able if _suffix(path) == entry.suffixes[0]]
         if len(fitting) != 1:
-            raise ValueError(f'{path}: give the label format to write: {names(able)}')
+            raise ValueError(f'{path}: name the label format to write: {names(able)}')
         return fitting[0]
     chosen = format_named(name)
     if chosen not in able:

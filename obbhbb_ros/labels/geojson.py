@@ -86,7 +86,7 @@ def _record(default_image: str, feature: Any) -> shapes.Outlined:
     properties = json_member(feature, 'properties') or {}
     if not isinstance(properties, dict):
         raise ValueError("'properties' is not a JSON object")
-    # An id among the properties is the user's own; the one beside them may be a running number.
+    # An id in the properties is the user's; the one of the feature may be a running number.
     fields = {'id': feature.get('id'), **properties}
     return shapes.feature_record(default_image, fields, _rings(geometry))
 

@@ -29,7 +29,7 @@ from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
 
 DRIVER = 'ESRI Shapefile'
-# Indexes of the features in a file that is replaced; they would not fit the new ones.
+# Indexes of a file that is replaced; they would not match the new features.
 INDEXES = ('.qix', '.sbn', '.sbx')
 FILE_CODE = '\x00\x00\x27\x0a'
 MAX_TEXT_BYTES = 254
@@ -85,7 +85,7 @@ def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
             # Any exception, as in `_read`.
             raise OSError(f'{path}: cannot be written: {error}') from error
         if written != len(frame):
-            raise OSError(f'{path}: cannot be written: {written} of {len(frame)} boxes are there')
+            raise OSError(f'{path}: only {written} of {len(frame)} boxes were written')
 
 
 def _columns(properties: list[dict[str, Any]]) -> dict[str, Any]:

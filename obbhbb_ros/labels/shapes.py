@@ -32,7 +32,7 @@ from obbhbb_ros.labels.text import parse_score
 
 Corners = tuple[float, float, float, float, float, float, float, float]
 
-# Names of the same property in different tools, in any case; the first with a value is used.
+# Names that tools give a property, in any case; the first one with a value is used.
 IMAGE = ('image', 'image_id', 'file_name', 'filename')
 CLASS = ('class', 'class_id', 'category', 'label', 'name')
 SCORE = ('score', 'confidence')

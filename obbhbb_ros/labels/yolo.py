@@ -49,7 +49,7 @@ from obbhbb_ros.labels.label_format import Format
 UPRIGHT_FIELDS = 'class x_center y_center width height [confidence [track]]'
 CORNER_FIELDS = 'class x1 y1 x2 y2 x3 y3 x4 y4 [confidence [track]]'
 
-# Line and class names to a box in fractions of the image.
+# Turns a line and the class names into a box, in fractions of the image.
 Parse = Callable[[str, Sequence[str]], Box]
 
 
@@ -147,7 +147,7 @@ def _numbered_names(folder: Path, used: Iterable[str]) -> list[str]:
 
 def _lines(image: ImageLabels | ImageBoxes, numbers: Mapping[str, str]) -> list[str]:
     if image.class_ids and image.size is None:
-        raise ValueError(f'image {image.image!r}: its size is not known, YOLO needs it')
+        raise ValueError(f'image {image.image!r}: YOLO needs its size, which is unknown')
     if isinstance(image, ImageLabels):
         boxes = image.corners.reshape(-1, 8)
     else:
@@ -155,7 +155,7 @@ def _lines(image: ImageLabels | ImageBoxes, numbers: Mapping[str, str]) -> list[
         boxes = np.hstack(((low + high) / 2, high - low))
     boxes = boxes / np.tile(np.array(image.size or (1, 1), np.float64), boxes.shape[1] // 2)
     if not text.is_normalised(boxes.flat):
-        raise ValueError(f'image {image.image!r}: a box lies far outside its size {image.size}')
+        raise ValueError(f'image {image.image!r}: a box lies far outside {image.size}')
     if np.any((image.scores < 0.0) | (image.scores > 1.0)):
         raise ValueError(f'image {image.image!r}: scores are not within 0..1')
     if np.any(image.scores != 1.0):

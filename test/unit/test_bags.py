@@ -476,7 +476,7 @@ def test_a_bag_that_exists_is_not_overwritten(bag: Path, tmp_path: Path, run: An
 
 
 def test_compression_of_chunks_is_not_for_sqlite3(bag: Path, run: Any) -> None:
-    assert 'not of sqlite3' in run('--storage', 'sqlite3', '--compression', 'storage')[2]
+    assert 'needs mcap, not sqlite3' in run('--storage', 'sqlite3', '--compression', 'storage')[2]
 
 
 def test_an_end_on_the_way_leaves_nothing(
@@ -514,7 +514,7 @@ def test_a_bag_without_metadata_is_read_all_the_same(
     (bag / 'metadata.yaml').unlink()
     code, _, err = run('--strict')
     assert code == 0
-    assert err.endswith('in is damaged: no metadata.yaml; what can be read is converted\n')
+    assert err.endswith('in is damaged: no metadata.yaml; converting what can be read\n')
     assert err.count('\n') == 1
     assert answers(tmp_path / 'out') == expected(scene())
     with Reader(tmp_path / 'out') as reader:
@@ -683,7 +683,7 @@ def test_a_process_that_ends_is_an_error(
     monkeypatch.setattr(replay, 'answers_to', fail)
     code, _, err = run()
     assert code == 1
-    assert 'a process that converts messages has ended' in err
+    assert 'a process that converts messages has died' in err
     assert [path.name for path in tmp_path.iterdir()] == ['in']
 
 

@@ -195,7 +195,7 @@ def test_images_without_ships_are_valid(source: Path, tmp_path: Path) -> None:
         (['--to', 'yolo', '--diagnostics'], 'cannot hold diagnostics'),
         (['--to', 'yolo'], "image 'P1': YOLO needs its size"),
         (['--from', 'labelme', '--to', 'csv'], "unknown label format 'labelme'"),
-        ([], 'give the label format to write'),
+        ([], 'name the label format to write'),
         (['--to', 'csv', '--q', '0.5'], 'q must be 1 to inf'),
         (['--to', 'csv', '--method', 'magic'], 'magic'),
         (['--to', 'csv', '--max-length', '-1'], 'max_length must be positive'),

@@ -216,8 +216,8 @@ def test_yolo_classes_are_numbered_by_a_file_beside_the_labels(put: Put, tmp_pat
 @pytest.mark.parametrize(
     ('format_name', 'bad', 'message'),
     [
-        ('yolo', {'size': None}, 'size is not known'),
-        ('yolo', {'size': (4, 4)}, 'far outside its size'),
+        ('yolo', {'size': None}, 'YOLO needs its size'),
+        ('yolo', {'size': (4, 4)}, r'far outside \(4, 4\)'),
         ('yolo', {'scores': [7.0]}, 'not within 0..1'),
         ('voc', {'image': 'a\x01'}, 'XML cannot hold'),
         ('csv', {'image': ''}, 'without a name'),
@@ -239,8 +239,8 @@ def test_values_that_a_format_cannot_hold_are_refused_and_nothing_is_written(
 @pytest.mark.parametrize(
     ('name', 'format_name', 'message'),
     [
-        ('out', None, 'give the label format'),
-        ('out.pdf', None, 'give the label format'),
+        ('out', None, 'name the label format'),
+        ('out.pdf', None, 'name the label format'),
         ('out', 'dota', "cannot write axis-aligned boxes as 'dota': use yolo"),
         ('out', 'labelme', "unknown label format 'labelme'"),
         ('out.json', 'shapefile', r'ends in \.shp'),

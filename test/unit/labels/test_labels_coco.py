@@ -106,8 +106,8 @@ RLE = {'size': [768, 1024], 'counts': 'X`2'}
     [
         (_annotation(segmentation=RLE), 'run-length'),
         (_annotation(segmentation='x'), 'segmentation is not an array'),
-        (_annotation(segmentation=[[1, 2, 3, 4]]), 'a polygon of 4 numbers'),
-        (_annotation(segmentation=[[1, 2, 3, 4, 5, 6, 7]]), 'a polygon of 7 numbers'),
+        (_annotation(segmentation=[[1, 2, 3, 4]]), 'a polygon has 4 numbers'),
+        (_annotation(segmentation=[[1, 2, 3, 4, 5, 6, 7]]), 'a polygon has 7 numbers'),
         (_annotation(segmentation=[[1, 2, 3, 4, 5, 'x']]), "segmentation has 'x'"),
         (_annotation(segmentation=[[1, 1, 2, 2, 3, 3]]), 'no area'),
         (_annotation(segmentation=[[1, 1, 1, 1, 3, 3]]), 'fewer than three'),

@@ -97,7 +97,7 @@ def test_the_format_follows_from_a_suffix_that_only_one_format_has(
 def test_the_format_must_be_named_for_any_other_suffix(
     make: Make, tmp_path: Path, name: str
 ) -> None:
-    with pytest.raises(ValueError, match=r'give the label format.*dota.*csv') as caught:
+    with pytest.raises(ValueError, match=r'name the label format.*dota.*csv') as caught:
         write_labels(tmp_path / name, [make()])
     assert str(tmp_path / name) in str(caught.value)
 
