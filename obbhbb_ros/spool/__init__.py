@@ -1,2 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where chips wait for the ground: catalogue, release, outbox. No ROS in here."""
+"""
+Where chips wait for the ground.
+
+`SpoolWriter` stores them, `SpoolReleaser` claims them, `SpoolConsole` shows and changes them, all
+three in transactions of one `Catalogue` with the tables and rules of `books`. `OutboxFeeder` moves
+them to the `Outbox`. `salvage` reads damaged catalogues. No ROS in here.
+"""

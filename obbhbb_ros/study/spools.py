@@ -14,7 +14,6 @@ from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.spool.books import Status
 from obbhbb_ros.spool.catalogue import SpoolDamagedError
 from obbhbb_ros.spool.catalogue import catalogue_files
-from obbhbb_ros.spool.catalogue import is_in_use
 from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.chip_rows import describe_intact
 from obbhbb_ros.spool.console import SpoolConsole
@@ -31,12 +30,10 @@ STATES = ('waiting', 'being released', 'in outbox')
 def open_spool(folder: Path) -> SpoolConsole:
     """Open a spool that exists; ValueError if there is none, OSError if it cannot be listed."""
     if folder.is_dir():
-        # A search for files does not tell of an error.
+        # The search for files below would hide an error.
         os.listdir(folder)
-    if not any(map(is_in_use, catalogue_files(folder))):
-        raise ValueError(
-            f'{folder} is no spool: it has no file chips_*.sqlite3 that is not set aside'
-        )
+    if not catalogue_files(folder):
+        raise ValueError(f'{folder} is no spool: it has no file chips_*.sqlite3')
     return SpoolConsole(folder, note)
 
 
@@ -44,12 +41,12 @@ def status_text(status: Status) -> str:
     """Write the books of a spool."""
 
     def reasons(kind: str) -> str:
-        found = [
+        counts = [
             f'{name.partition(".")[2]} {count}'
             for name, count in sorted(status.counts.items())
             if name.startswith(f'{kind}.')
         ]
-        return f'{status.total(kind)}' + (f' ({", ".join(found)})' if found else '')
+        return f'{status.total(kind)}' + (f' ({", ".join(counts)})' if counts else '')
 
     planned, delivered = (status.counts.get(name, 0) for name in ('planned', 'delivered'))
     lines = [
@@ -86,7 +83,7 @@ def chip_table(chips: Iterable[StoredChip]) -> str:
 
 
 def as_json(status: Status, chips: Iterable[StoredChip]) -> Mapping[str, Any]:
-    """Give books and chips for a JSON file."""
+    """Return books and chips for a JSON file."""
     books = {name: value for name, value in vars(status).items() if name != 'file_bytes'}
     return books | {
         'chips': [{**_described(chip), 'state': STATES[chip.state]} for chip in chips],

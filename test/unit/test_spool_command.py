@@ -322,6 +322,25 @@ def test_a_damaged_catalogue_is_told_of(folder, capsys) -> None:
     assert f'{path} is damaged and set aside' in output.err
 
 
+@pytest.mark.parametrize(
+    'action', [['delete', '--all'], ['revalue', '--all', '--by', '2'], ['export']], ids=str
+)
+def test_damage_that_an_action_meets_is_an_error(tmp_path, capsys, monkeypatch, action) -> None:
+    monkeypatch.chdir(tmp_path)
+    writer = SpoolWriter(tmp_path / 'spool', print)
+    store(writer, [0.01 * i for i in range(80)], 3000)
+    writer.close()
+    (path,) = catalogue_files(tmp_path / 'spool')
+    with path.open('r+b') as stream:
+        stream.seek(path.stat().st_size // 2)
+        stream.write(b'\xa5' * 8192)
+    assert run(tmp_path / 'spool', *action) == 1
+    assert capsys.readouterr().err.startswith(f'obbhbb: {path} is damaged and set aside: ')
+    # Once more, with the new catalogue.
+    assert run(tmp_path / 'spool') == 0
+    assert '1 damaged catalogues set aside' in capsys.readouterr().out
+
+
 def test_a_spool_with_a_damaged_catalogue_is_not_in_order(folder, capsys) -> None:
     (path,) = catalogue_files(folder)
     path.write_bytes(b'garbage' * 9999)
