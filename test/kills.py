@@ -199,7 +199,7 @@ def run(
         assert status.balance == 0, status
         chain.bus.stop()
     assert not chain.bus.wrong, chain.bus.wrong
-    assert len(chain.bus.taken) == status.counts['delivered']
+    assert len(chain.bus.taken) == status.counts['delivered'], (len(chain.bus.taken), status)
     twice = sum(number - 1 for number in chain.bus.taken.values())
     # Those whose release was not recorded yet: a batch for each kill, at most.
     assert twice <= 16 * killed_downlinks
