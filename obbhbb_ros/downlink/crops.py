@@ -12,7 +12,6 @@ No step depends on the order of the boxes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from dataclasses import replace
 from enum import Enum
 from itertools import pairwise
 
@@ -213,13 +212,8 @@ def plan_crops(
     # fmax replaces NaN.
     values = np.fmax(scores[rows] if weights is None else scores[rows] * weights[rows], -np.inf)
     order = _by_value(values, corners, boxes)
-    plan = CropPlan(
-        regions=corners[:, order].T,
-        sources=rows[order],
-        offsets=np.arange(len(rows) + 1),
-        values=values[order],
-        left_out=selection.left_out,
-    )
+    rows, corners, values = rows[order], corners[:, order], values[order]
+    plan = CropPlan(corners.T, rows, np.arange(len(rows) + 1), values, selection.left_out)
     if settings.merge_max_size and len(rows) > 1:
         plan = _merged(plan, image_size, settings)
     return _limited(plan, settings)
@@ -306,13 +300,9 @@ def _merged(plan: CropPlan, image_size: tuple[int, int], settings: CropSettings)
     values: FloatArray = np.where(np.bincount(scored, minlength=groups) > 0, sums, -np.inf)
     order = _by_value(values, merged)
     rank = np.argsort(order)[group_of]
-    return replace(
-        plan,
-        regions=merged[:, order].T,
-        sources=plan.sources[np.argsort(rank, kind='stable')],
-        offsets=_offsets(np.bincount(rank)),
-        values=values[order],
-    )
+    sources = plan.sources[np.argsort(rank, kind='stable')]
+    offsets = _offsets(np.bincount(rank))
+    return CropPlan(merged[:, order].T, sources, offsets, values[order], plan.left_out)
 
 
 def _limited(plan: CropPlan, settings: CropSettings) -> CropPlan:
@@ -322,17 +312,11 @@ def _limited(plan: CropPlan, settings: CropSettings) -> CropPlan:
         return plan
     kept, end = _within_limits(_pixels(plan.regions.T).tolist(), settings)
     sizes = np.diff(plan.offsets)
-    over = {
-        LeftOut.MAX_PIXELS: int(sizes[:end][~kept[:end]].sum()),
-        LeftOut.MAX_COUNT: int(sizes[end:].sum()),
-    }
-    return CropPlan(
-        regions=plan.regions.T[:, kept].T,
-        sources=plan.sources[np.repeat(kept, sizes)],
-        offsets=_offsets(sizes[kept]),
-        values=plan.values[kept],
-        left_out=plan.left_out | {reason: count for reason, count in over.items() if count},
-    )
+    over_pixels, over_count = sizes[:end][~kept[:end]].sum(), sizes[end:].sum()
+    over = {LeftOut.MAX_PIXELS: int(over_pixels), LeftOut.MAX_COUNT: int(over_count)}
+    left_out = plan.left_out | {reason: count for reason, count in over.items() if count}
+    regions, sources = plan.regions.T[:, kept].T, plan.sources[np.repeat(kept, sizes)]
+    return CropPlan(regions, sources, _offsets(sizes[kept]), plan.values[kept], left_out)
 
 
 def _within_limits(pixels: list[int], settings: CropSettings) -> tuple[NDArray[np.bool_], int]:

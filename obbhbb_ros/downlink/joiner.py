@@ -2,8 +2,8 @@
 """
 Joining of messages by stamp, in bounded memory and in any order of arrival.
 
-`StampCache` holds the messages of one topic; whatever needs a message of a certain stamp later
-looks it up there. `PairJoiner` pairs images with crop plans through two of them.
+`StampCache` holds messages until they are looked up by their stamp. A `JoinerSide` pairs those of
+one topic with those of another.
 """
 
 from __future__ import annotations
@@ -24,8 +24,6 @@ from obbhbb_ros.wire.stamp import nanoseconds_of
 
 Item = TypeVar('Item')
 Partner = TypeVar('Partner')
-ImageT = TypeVar('ImageT')
-PlanT = TypeVar('PlanT')
 
 ZERO_STAMP: Stamp = (0, 0)
 """No stamp at all: a header that nobody filled in."""
@@ -154,9 +152,12 @@ class PairLimits(CheckedSettings):
     )
 
 
-class JoinerSide(Generic[Item]):
+class JoinerSide(Generic[Item, Partner]):
     """
-    One side of a `PairJoiner`: the items of one kind.
+    One side of a joiner: items that are paired by stamp with those of another side.
+
+    An item is paired with the waiting one of the same stamp, or else with the one of the nearest
+    stamp within the slop, the earlier of two. A zero stamp means no stamp and is never paired.
 
     Parameters
     ----------
@@ -170,10 +171,14 @@ class JoinerSide(Generic[Item]):
     ----------
     waiting : StampCache
         The items that wait for a partner.
-    joined : StampCache
-        The stamps whose item has had its partner; a duplicate may still arrive.
-    latest : tuple of int
-        The stamp that arrived last.
+
+    Examples
+    --------
+    >>> images, plans = JoinerSide(print, print), JoinerSide(print, print)
+    >>> images.pair_with(plans)
+    >>> plans.add((5, 0), 'plan', now=0.0, max_count=10)
+    >>> images.add((5, 0), 'image', now=0.1, max_count=10)
+    'plan'
     """
 
     def __init__(
@@ -182,111 +187,73 @@ class JoinerSide(Generic[Item]):
         on_jump_back: Callable[[Stamp, Stamp], None],
     ) -> None:
         self.waiting = StampCache[Item]()
-        self.joined = StampCache[None]()
-        self.latest = ZERO_STAMP
-        self._on_dropped, self.on_jump_back = on_dropped, on_jump_back
+        # Stamps whose item has had its partner: a duplicate may still arrive.
+        self._joined = StampCache[None]()
+        self._latest = ZERO_STAMP
+        self._on_dropped, self._on_jump_back = on_dropped, on_jump_back
+        self._other: JoinerSide[Partner, Item]
 
-    def drop(self, reason: Unpaired, *items: Item) -> None:
-        """Report items that get no partner."""
-        for item in items:
-            self._on_dropped(reason, item)
+    def pair_with(self, other: JoinerSide[Partner, Item]) -> None:
+        """Make this side and another one the two sides of a joiner."""
+        self._other, other._other = other, self
 
-    def note_joined(self, stamp: Stamp, now: float) -> None:
-        """Note that the item of a stamp has its partner."""
-        self.joined.put(stamp, None, now)
-        self.joined.shrink(_MAX_JOINED)
+    def add(
+        self, stamp: Stamp, item: Item, now: float, max_count: int, slop: float = 0.0
+    ) -> Partner | None:
+        """
+        Add an item, and return its partner; without one the item waits.
+
+        Parameters
+        ----------
+        stamp : tuple of int
+            Seconds and nanoseconds.
+        item : Item
+            The item.
+        now : float
+            Seconds of a monotonic clock.
+        max_count : int
+            Maximum number of items that wait on this side; the oldest is dropped first.
+        slop : float
+            Maximum difference between the stamps of a pair, seconds (0: stamps are equal).
+        """
+        if stamp == ZERO_STAMP:
+            self._drop(Unpaired.ZERO_STAMP, [item])
+            return None
+        if stamp < self._latest:
+            self._on_jump_back(self._latest, stamp)
+            # The same stamps come again and must be paired again.
+            self._joined.clear()
+            self._other._joined.clear()
+        self._latest = stamp
+        if stamp in self._joined:
+            self._drop(Unpaired.DUPLICATE, [item])
+            return None
+        partner_stamp = self._other.waiting.nearest(stamp, slop)
+        if partner_stamp is not None:
+            self._note_joined(stamp, now)
+            self._other._note_joined(partner_stamp, now)
+            return self._other.waiting.pop(partner_stamp)
+        replaced = self.waiting.put(stamp, item, now)
+        self._drop(Unpaired.DUPLICATE, [] if replaced is None else [replaced])
+        self._drop(Unpaired.CROWDED_OUT, self.waiting.shrink(max_count))
+        return None
 
     def expire(self, now: float, max_age: float) -> None:
-        """Drop the items that have waited too long."""
-        self.drop(Unpaired.EXPIRED, *self.waiting.expire(now, max_age))
-        self.joined.expire(now, max_age)
+        """Drop the items that came more than `max_age` seconds ago."""
+        self._drop(Unpaired.EXPIRED, self.waiting.expire(now, max_age))
+        self._joined.expire(now, max_age)
 
     def clear(self) -> None:
         """Drop all items; the next stamp is not a jump back."""
-        self.latest = ZERO_STAMP
-        self.drop(Unpaired.CLEARED, *self.waiting.clear())
+        self._latest = ZERO_STAMP
+        self._drop(Unpaired.CLEARED, self.waiting.clear())
 
+    def _note_joined(self, stamp: Stamp, now: float) -> None:
+        """Note that the item of a stamp has its partner."""
+        self._joined.put(stamp, None, now)
+        self._joined.shrink(_MAX_JOINED)
 
-class PairJoiner(Generic[ImageT, PlanT]):
-    """
-    Pairs images with crop plans by stamp.
-
-    An item is paired with the waiting one of the same stamp, or else with the one of the nearest
-    stamp within the slop, the earlier of two. A zero stamp means no stamp and is never paired.
-
-    Parameters
-    ----------
-    images, plans : JoinerSide
-        The two sides.
-
-    Examples
-    --------
-    >>> joiner = PairJoiner(JoinerSide(print, print), JoinerSide(print, print))
-    >>> limits = PairLimits(images=10, regions=10, max_age=1.0)
-    >>> joiner.add_plan((5, 0), 'plan', now=0.0, limits=limits)
-    >>> joiner.add_image((5, 0), 'image', now=0.1, limits=limits)
-    ('image', 'plan')
-    """
-
-    def __init__(self, images: JoinerSide[ImageT], plans: JoinerSide[PlanT]) -> None:
-        self._images, self._plans = images, plans
-
-    def add_image(
-        self, stamp: Stamp, image: ImageT, now: float, limits: PairLimits
-    ) -> tuple[ImageT, PlanT] | None:
-        """Add an image at `now`, seconds of a monotonic clock; return it with its plan, if any."""
-        self.expire(now, limits)
-        plan = self._join(stamp, image, now, self._images, self._plans, limits.slop)
-        self._images.drop(Unpaired.CROWDED_OUT, *self._images.waiting.shrink(limits.images))
-        return None if plan is None else (image, plan)
-
-    def add_plan(
-        self, stamp: Stamp, plan: PlanT, now: float, limits: PairLimits
-    ) -> tuple[ImageT, PlanT] | None:
-        """Add a plan at `now`, seconds of a monotonic clock; return it with its image, if any."""
-        self.expire(now, limits)
-        image = self._join(stamp, plan, now, self._plans, self._images, limits.slop)
-        self._plans.drop(Unpaired.CROWDED_OUT, *self._plans.waiting.shrink(limits.regions))
-        return None if image is None else (image, plan)
-
-    def expire(self, now: float, limits: PairLimits) -> None:
-        """Drop what has waited too long."""
-        self._images.expire(now, limits.max_age)
-        self._plans.expire(now, limits.max_age)
-
-    def clear(self) -> None:
-        """Drop all items; the next stamp of either kind is not a jump back."""
-        self._images.clear()
-        self._plans.clear()
-
-    def _join(
-        self,
-        stamp: Stamp,
-        item: Item,
-        now: float,
-        side: JoinerSide[Item],
-        other_side: JoinerSide[Partner],
-        slop: float,
-    ) -> Partner | None:
-        """Take the partner of an item from the other side, or let the item wait."""
-        if stamp == ZERO_STAMP:
-            side.drop(Unpaired.ZERO_STAMP, item)
-            return None
-        if stamp < side.latest:
-            side.on_jump_back(side.latest, stamp)
-            # The same stamps come again and must be paired again.
-            side.joined.clear()
-            other_side.joined.clear()
-        side.latest = stamp
-        if stamp in side.joined:
-            side.drop(Unpaired.DUPLICATE, item)
-            return None
-        partner_stamp = other_side.waiting.nearest(stamp, slop)
-        if partner_stamp is not None:
-            side.note_joined(stamp, now)
-            other_side.note_joined(partner_stamp, now)
-            return other_side.waiting.pop(partner_stamp)
-        replaced = side.waiting.put(stamp, item, now)
-        if replaced is not None:
-            side.drop(Unpaired.DUPLICATE, replaced)
-        return None
+    def _drop(self, reason: Unpaired, items: list[Item]) -> None:
+        """Report items that get no partner."""
+        for item in items:
+            self._on_dropped(reason, item)

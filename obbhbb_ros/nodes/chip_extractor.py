@@ -5,14 +5,12 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
 from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
-from typing import TypeVar
 
 from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
@@ -33,7 +31,6 @@ from obbhbb_ros.downlink.frame import FrameLink
 from obbhbb_ros.downlink.joiner import IMAGES_KEPT
 from obbhbb_ros.downlink.joiner import PLANS_KEPT
 from obbhbb_ros.downlink.joiner import JoinerSide
-from obbhbb_ros.downlink.joiner import PairJoiner
 from obbhbb_ros.downlink.joiner import PairLimits
 from obbhbb_ros.downlink.joiner import StampCache
 from obbhbb_ros.downlink.joiner import Unpaired
@@ -57,8 +54,6 @@ from obbhbb_ros.wire.plans import WirePlan
 from obbhbb_ros.wire.plans import read_sources
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import stamp_text
-
-Item = TypeVar('Item')
 
 _EXPLANATIONS = {
     Unpaired.EXPIRED: 'no image with its stamp arrived within cache.max_age',
@@ -111,13 +106,13 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             ('images_received', 'chips_sent', 'bytes_sent'),
             **kwargs,
         )
-        self._images = JoinerSide[WireImage](
+        self._images = JoinerSide[WireImage, PlannedFrame](
             self._on_image_dropped, partial(self._warn_of_jump_back, 'images')
         )
-        self._plans = JoinerSide[PlannedFrame](
+        self._plans = JoinerSide[PlannedFrame, WireImage](
             self._on_plan_dropped, partial(self._warn_of_jump_back, 'crop_plans')
         )
-        self._joiner = PairJoiner(self._images, self._plans)
+        self._images.pair_with(self._plans)
         self._budget = self.parameters.settings.budget
         # The link remembers what was sent while the node is inactive.
         self._bucket = TokenBucket(self._budget, time.monotonic())
@@ -161,7 +156,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
     def deactivate(self) -> None:
         """Drop the images and plans that wait for each other."""
-        self._joiner.clear()
+        self._images.clear()
+        self._plans.clear()
 
     def cleanup(self) -> None:
         """Close the spool."""
@@ -171,12 +167,11 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
     def _facts(self) -> dict[str, str]:
         """Report what is waiting, the budget left, and the books of the spool."""
-        settings = self._settings()
-        self._joiner.expire(time.monotonic(), settings.pairing)
+        now, _ = self._expire()
         facts = {
             'chips_waiting': str(sum(map(len, self._plans.waiting))),
             'images_waiting': str(len(self._images.waiting)),
-            'budget_available': f'{self._bucket.available(time.monotonic()):.0f}',
+            'budget_available': f'{self._bucket.available(now):.0f}',
         }
         if self._spool is not None:
             self._spool.catch_up()
@@ -207,28 +202,28 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     def _on_image(self, data: bytes) -> None:
         """Keep an image for its plan, or cut it if the plan is there."""
         image = read_image(data)
-        self._pair(self._joiner.add_image, image.stamp, image)
+        now, limits = self._expire()
+        planned = self._images.add(image.stamp, image, now, limits.images, limits.slop)
+        if planned is not None:
+            self._cut(image, planned, now)
 
     def _on_regions(self, data: bytes) -> None:
         """Keep a plan for its image, or cut the image if it is there."""
         plan = WirePlan(data)
         self.monitor.add('chips_planned', len(plan))
         ticket = self._spool.plan(len(plan)) if self._spool is not None and len(plan) else None
-        self._pair(self._joiner.add_plan, plan.stamp, PlannedFrame(plan, ticket))
+        planned = PlannedFrame(plan, ticket)
+        now, limits = self._expire()
+        image = self._plans.add(plan.stamp, planned, now, limits.regions, limits.slop)
+        if image is not None:
+            self._cut(image, planned, now)
 
-    def _pair(
-        self,
-        add: Callable[[Stamp, Item, float, PairLimits], tuple[WireImage, PlannedFrame] | None],
-        stamp: Stamp,
-        item: Item,
-    ) -> None:
-        """Add an image or a plan to the joiner, and cut the frame that it completes."""
-        started = time.perf_counter()
-        settings = self._settings()
-        pair = add(stamp, item, time.monotonic(), settings.pairing)
-        if pair is not None:
-            self._cut(*pair, settings)
-            self.monitor.took(time.perf_counter() - started)
+    def _expire(self) -> tuple[float, PairLimits]:
+        """Drop what has waited too long; return the time and the limits of what waits."""
+        now, limits = time.monotonic(), self._settings().pairing
+        self._images.expire(now, limits.max_age)
+        self._plans.expire(now, limits.max_age)
+        return now, limits
 
     def _on_image_dropped(self, reason: Unpaired, _: WireImage) -> None:
         """Count an image without a plan; that is no loss: detectors may skip images."""
@@ -269,9 +264,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         if count:
             self.monitor.add(f'chips_dropped.{reason}', count)
 
-    def _cut(self, image: WireImage, planned: PlannedFrame, settings: ChipSettings) -> None:
+    def _cut(self, image: WireImage, planned: PlannedFrame, started: float) -> None:
         """Cut one frame; publish what the budget allows, and store all of it in the spool."""
         self.monitor.add('frames_paired')
+        settings = self._settings()
         frame = FrameCut[NewChip](planned.plan.regions)
         is_wanted = self._chip_topics.wanted()
         if not is_wanted:
@@ -291,6 +287,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self.monitor.add('chips_sent', frame.sent)
             self._report_dropped(frame.not_sent, image, len(planned))
             self._store(planned, frame.records, frame.not_recorded)
+        self.monitor.took(time.monotonic() - started)
 
     def _run(
         self,

@@ -84,9 +84,9 @@ class LayerCollector(Generic[ImageT, LayerT]):
     back in time. Layers may wait longer than images, because a large image takes a while to
     arrive.
 
-    This is a joiner of its own, not `obbhbb_ros.downlink.joiner.PairJoiner`: here a set of parts is
-    complete, expires and is dropped as one, there each message for itself. Both hold what waits in
-    a `StampCache`.
+    `obbhbb_ros.downlink.joiner.JoinerSide` pairs, expires and drops every message for itself; here
+    an image and its layers are complete, expire and are dropped as one. Both hold what waits in a
+    `StampCache`.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ WITH_EXAMPLES = (
     crops.CropSettings,
     crops.plan_crops,
     merging.merge_regions,
-    joiner.PairJoiner,
+    joiner.JoinerSide,
     joiner.StampCache,
 )
 

@@ -9,26 +9,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from obbhbb_ros.downlink.joiner import JoinerSide
-from obbhbb_ros.downlink.joiner import PairJoiner
-from obbhbb_ros.downlink.joiner import PairLimits
 from obbhbb_ros.downlink.joiner import StampCache
 from obbhbb_ros.downlink.joiner import Unpaired
 
-LIMITS = PairLimits(images=2, regions=3, max_age=1.0)
 CAPACITY = 2, 3
+MAX_AGE = 1.0
 
 
 class Log:
     """Joins items of kind 0, images, and 1, plans, and keeps what was dropped."""
 
-    def __init__(self):
+    def __init__(self, capacity=CAPACITY):
+        self.capacity = capacity
         self.dropped = []
         self.jumps_back = []
         self.sides = [
             JoinerSide(partial(self._on_dropped, kind), partial(self._on_jump_back, kind))
             for kind in (0, 1)
         ]
-        self.joiner = PairJoiner(*self.sides)
+        self.sides[0].pair_with(self.sides[1])
 
     def _on_dropped(self, kind, reason, item):
         self.dropped.append((kind, reason, item))
@@ -36,11 +35,16 @@ class Log:
     def _on_jump_back(self, kind, latest, stamp):
         self.jumps_back.append((kind, latest, stamp))
 
-    def add(self, kind, stamp, item, now=0.0, limits=LIMITS):
+    def add(self, kind, stamp, item, now=0.0, slop=0.0):
+        """Add an item as the node does, and return it with its partner."""
         if isinstance(stamp, int):
             stamp = stamp, 0
-        add = self.joiner.add_plan if kind else self.joiner.add_image
-        return add(stamp, item, now, limits)
+        for side in self.sides:
+            side.expire(now, MAX_AGE)
+        partner = self.sides[kind].add(stamp, item, now, self.capacity[kind], slop)
+        if partner is None:
+            return None
+        return (partner, item) if kind else (item, partner)
 
     def waiting(self, kind):
         return list(self.sides[kind].waiting)
@@ -137,7 +141,8 @@ def test_clearing_drops_everything() -> None:
     log = Log()
     log.add(0, 1, 'image')
     log.add(1, 2, 'regions')
-    log.joiner.clear()
+    for side in log.sides:
+        side.clear()
     assert [(kind, reason) for kind, reason, _ in log.dropped] == [
         (0, Unpaired.CLEARED),
         (1, Unpaired.CLEARED),
@@ -181,17 +186,13 @@ def test_pairs_of_long_ago_are_forgotten() -> None:
 # Stamps that differ
 
 
-def slop_of(seconds):
-    return PairLimits(5, 5, 10.0, seconds)
-
-
 @pytest.mark.parametrize('second', [(5, 10_000_000), (4, 990_000_000)])
 @pytest.mark.parametrize('kinds', [(0, 1), (1, 0)])
 @pytest.mark.parametrize('slop', [0.0, 0.009, 0.01, 0.02])
 def test_stamps_that_differ_by_no_more_than_the_slop_pair(second, kinds, slop) -> None:
     log = Log()
-    log.add(kinds[0], (5, 0), kinds[0], 0.0, slop_of(slop))
-    pair = log.add(kinds[1], second, kinds[1], 0.0, slop_of(slop))
+    log.add(kinds[0], (5, 0), kinds[0], slop=slop)
+    pair = log.add(kinds[1], second, kinds[1], slop=slop)
     assert pair == ((0, 1) if slop >= 0.01 else None)
     assert log.dropped == []
 
@@ -212,21 +213,21 @@ def test_stamps_that_differ_by_no_more_than_the_slop_pair(second, kinds, slop) -
     ],
 )
 def test_the_nearest_waiting_stamp_is_the_partner_the_earlier_of_two(stamp, partner) -> None:
-    log, limits = Log(), slop_of(10e-9)
+    log = Log(capacity=(5, 5))
     for nanoseconds in (100, 110, 120):
-        log.add(0, (5, nanoseconds), nanoseconds, 0.0, limits)
-    pair = log.add(1, (5, stamp), 'plan', 0.0, limits)
+        log.add(0, (5, nanoseconds), nanoseconds, slop=10e-9)
+    pair = log.add(1, (5, stamp), 'plan', slop=10e-9)
     assert pair == (None if partner is None else (partner, 'plan'))
 
 
 def test_an_item_is_paired_once_whatever_is_near() -> None:
-    log, limits = Log(), slop_of(10e-9)
-    log.add(0, (5, 100), 'image', 0.0, limits)
-    assert log.add(1, (5, 101), 'first', 0.0, limits) == ('image', 'first')
+    log, slop = Log(), 10e-9
+    log.add(0, (5, 100), 'image', slop=slop)
+    assert log.add(1, (5, 101), 'first', slop=slop) == ('image', 'first')
     # The same plan again, and the same image: both have had their partner.
-    assert log.add(1, (5, 101), 'first', 0.0, limits) is None
-    assert log.add(1, (5, 102), 'second', 0.0, limits) is None
-    assert log.add(0, (5, 100), 'image', 0.0, limits) is None
+    assert log.add(1, (5, 101), 'first', slop=slop) is None
+    assert log.add(1, (5, 102), 'second', slop=slop) is None
+    assert log.add(0, (5, 100), 'image', slop=slop) is None
     assert log.dropped == [(1, Unpaired.DUPLICATE, 'first'), (0, Unpaired.DUPLICATE, 'image')]
 
 
@@ -235,11 +236,11 @@ NANOSECONDS = st.lists(st.tuples(st.integers(0, 1), st.integers(1, 200)), max_si
 
 @given(NANOSECONDS, st.integers(0, 30))
 def test_no_pair_is_farther_apart_than_the_slop(events, slop) -> None:
-    log, limits = Log(), PairLimits(100, 100, 10.0, slop * 1e-9)
+    log = Log(capacity=(100, 100))
     paired = 0
     for kind, stamp in sorted(events, key=lambda event: event[1]):
         waiting = [other for other in log.waiting(1 - kind) if abs(other - stamp) <= slop]
-        pair = log.add(kind, (0, stamp), stamp, 0.0, limits)
+        pair = log.add(kind, (0, stamp), stamp, slop=slop * 1e-9)
         assert (pair is not None) == bool(waiting)
         if pair:
             paired += 2
