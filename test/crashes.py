@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The conversion node, crashed or stuck in several ways and started again."""
+"""The conversion node, which crashes or hangs in several ways and is started again."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from ships import fleet
 from obbhbb_ros.nodes.last_run import read_run
 
 WATCHDOG = 'watchdog: no turn of the executor for 2 s, in stuck_answer, <string>:14'
-# How, the exit code, and what is said of it.
+# By name: how it crashes, its exit code, and what the next run reports.
 CRASHES: dict[str, tuple[Any, int, str]] = {
     'killed': (signal.SIGKILL, -9, 'killed: SIGKILL, or out of memory'),
     'crashed': (signal.SIGSEGV, -11, 'crashed: Segmentation fault (SIGSEGV)'),
     'stuck in Python': ('time.sleep', 70, WATCHDOG),
-    # With Python's lock in its hands.
+    # While it holds Python's lock.
     'stuck in C': ('ctypes.PyDLL(None).sleep', 1, 'watchdog: stuck outside Python'),
 }
 
-# The node as it is, but for a conversion that never returns if a file is there, which it deletes.
+# The real node, but a conversion deletes a certain file if that exists, and then never returns.
 STUCK = """
 import ctypes, signal, sys, time
 from pathlib import Path
@@ -54,7 +54,7 @@ sys.exit(run_node('obb_to_hbb'))
 
 
 class Crashing(Converter):
-    """A node that can be started again, with a state file, and that knows a way to crash."""
+    """A node with a state file and a way to crash, which can be started again."""
 
     def __init__(self, site: Site, folder: Path, way: str | int) -> None:
         self._folder, self._starts, self._way = folder, 0, way
@@ -74,7 +74,7 @@ class Crashing(Converter):
         )
 
     def work(self) -> None:
-        """Have it count messages, and wait until its counters are in the file."""
+        """Convert some messages, and wait until the counters are in the state file."""
         self.connect()
         for _ in range(3):
             self.convert(detections(fleet(2)))
@@ -86,7 +86,7 @@ class Crashing(Converter):
         self.wait(is_written, 'the counters in the state file')
 
     def crash(self) -> None:
-        """Have it crash in its way, or send it a message that it gets stuck with."""
+        """Crash the node in its way, or send it a message that it hangs on."""
         if isinstance(self._way, int):
             self.process.send_signal(self._way)
         else:
@@ -94,7 +94,7 @@ class Crashing(Converter):
             self.publisher.publish(detections(fleet(1)))
 
     def start_again(self) -> None:
-        """Wait for the end and do as launch does."""
+        """Wait for the end, and restart the node as launch does."""
         self.ended, self.log_of_last = self.process.wait(), self.process.log
         self.start()
 
@@ -103,7 +103,7 @@ class Crashing(Converter):
         self.connect()
 
         def reports_of_this_run() -> Iterator[DiagnosticStatus]:
-            # Those of the run before may still be on their way.
+            # Reports of the last run may still be on their way.
             for report in self.reports():
                 if time_of(report) > self._started:
                     yield report.status[0]

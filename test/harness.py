@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes in processes of their own, and a peer that talks to them over DDS."""
+"""Nodes in separate processes, and a peer that talks to them over DDS."""
 
 from __future__ import annotations
 
@@ -68,13 +68,13 @@ SERVICES = {
     'get_state': GetState,
 }
 
-# Far more than anything takes, for machines that are busy with something else.
+# Far more than anything takes, even on a busy machine.
 TIMEOUT = 60.0
 RELIABLE = QoSProfile(depth=1000)
-# What was logged before a node knows of a subscriber comes as well.
+# Includes what a node logged before it discovered the subscriber.
 ROSOUT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-# Fast DDS complains if a node of another test, in whatever domain, opens the same port just then.
+# Fast DDS logs this if a node of another test, in any domain, opens the same port at that moment.
 _SHARED_MEMORY = re.compile(
     r'.*RTPS_TRANSPORT_SHM.*Failed init_port fastrtps_port\d+: open_and_lock_file failed.*\n'
 )
@@ -87,7 +87,7 @@ _numbers = itertools.count()
 
 
 class Closing:
-    """What is closed at the end of a `with` block."""
+    """Base of whatever is closed at the end of a `with` block."""
 
     def __enter__(self):
         return self
@@ -100,8 +100,8 @@ class NodeProcess(Closing):
     """
     An executable of the package, as users run it, or any other command line of a node.
 
-    What it prints goes to the file `log`, or to the terminal. `arguments` and `parameters` go
-    behind `--ros-args`.
+    Its output goes to the file `log`, or to the terminal. `arguments` and `parameters` follow
+    `--ros-args`.
     """
 
     def __init__(
@@ -116,8 +116,8 @@ class NodeProcess(Closing):
             executable = [sys.executable, '-m', 'obbhbb_ros.nodes', executable]
         command = [*executable, '--ros-args']
         for name, value in (parameters or {}).items():
-            given = str(value) if isinstance(value, Path) else value
-            command += ['-p', f'{name}:={yaml_value(given)}']
+            plain = str(value) if isinstance(value, Path) else value
+            command += ['-p', f'{name}:={yaml_value(plain)}']
         if namespace:
             command += ['-r', f'__ns:={namespace}']
         self.path = log
@@ -128,7 +128,7 @@ class NodeProcess(Closing):
 
     @property
     def log(self) -> str:
-        """What it has printed, as far as it goes to a file."""
+        """Its output so far, if that goes to a file."""
         if self.path is None:
             return ''
         return _SHARED_MEMORY.sub('', self.path.read_text(encoding='utf-8', errors='replace'))
@@ -146,27 +146,27 @@ class NodeProcess(Closing):
 
     @property
     def has_signals_in_hand(self) -> bool:
-        """Whether the process blocks SIGINT, which is the first thing that it does."""
+        """Whether the process blocks SIGINT yet, which it does first of all."""
         status = Path(f'/proc/{self.pid}/status').read_text(encoding='ascii')
         (mask,) = (line.split()[1] for line in status.splitlines() if line.startswith('SigBlk'))
         return bool(int(mask, 16) >> (signal.SIGINT - 1) & 1)
 
     def cpu_seconds(self) -> float:
-        """Give the processor time that the process has used in its life."""
+        """Return the processor time of the process since its start."""
         stat = Path(f'/proc/{self.pid}/stat').read_text().rpartition(')')[2].split()
         return sum(map(int, stat[11:13])) / os.sysconf('SC_CLK_TCK')
 
     def resident_megabytes(self) -> float:
-        """Give the memory that the process holds."""
+        """Return the memory of the process."""
         pages = int(Path(f'/proc/{self.pid}/statm').read_text().split()[1])
         return pages * os.sysconf('SC_PAGE_SIZE') / 2**20
 
     def wait(self, timeout: float = TIMEOUT) -> int:
-        """Wait for the end and give the exit code."""
+        """Wait for the end, and return the exit code."""
         return self._process.wait(timeout)
 
     def close(self) -> int:
-        """Leave nothing running, whatever happened, and give the exit code."""
+        """End the process, by SIGKILL if need be, and return the exit code."""
         self.send_signal(signal.SIGINT)
         try:
             return self.wait(10.0)
@@ -193,7 +193,7 @@ class Site(NamedTuple):
 
 @contextmanager
 def site_at(folder: Path | None = None) -> Iterator[Site]:
-    """Give a site as long as the `with` block lasts."""
+    """Provide a site for the time of the `with` block."""
     context = Context()
     rclpy.init(context=context)
     try:
@@ -203,7 +203,7 @@ def site_at(folder: Path | None = None) -> Iterator[Site]:
 
 
 class Peer(Closing):
-    """Somebody else on the network, with a node of its own in a namespace."""
+    """Another participant on the network, with a node in a namespace."""
 
     def __init__(self, context: Context, namespace: str) -> None:
         self.node = rclpy.create_node('peer', namespace=namespace, context=context)
@@ -215,11 +215,11 @@ class Peer(Closing):
         self.node.destroy_node()
 
     def spin(self, seconds: float = 0.0) -> None:
-        """Take what has arrived, or arrives first within that time."""
+        """Handle what has arrived, or what arrives first within that time."""
         self._executor.spin_once(timeout_sec=seconds)
 
     def spin_to(self, moment: float) -> None:
-        """Take what arrives up to a moment of the monotonic clock."""
+        """Handle what arrives before a time of the monotonic clock."""
         while (left := moment - time.monotonic()) > 0.0:
             self.spin(left)
 
@@ -231,7 +231,7 @@ class Peer(Closing):
             self.spin(0.02)
 
     def repeat(self, seconds: float, *jobs: tuple[float, Callable[[], Any]]) -> None:
-        """Do each job once per period, for some time, and take what arrives between."""
+        """Do each job once per period for some time, and handle what arrives in between."""
         started = time.monotonic()
         due = [started + period for period, _ in jobs]
         while (now := time.monotonic()) < started + seconds:
@@ -244,13 +244,13 @@ class Peer(Closing):
     def collect(
         self, kind: Any, topic: str, qos: QoSProfile = RELIABLE, raw: bool = False
     ) -> list[Any]:
-        """Subscribe, and give the list that messages will be put in."""
+        """Subscribe, and return the list that receives the messages."""
         messages: list[Any] = []
         self.node.create_subscription(kind, topic, messages.append, qos, raw=raw)
         return messages
 
     def publisher(self, kind: Any, topic: str, qos: QoSProfile = RELIABLE) -> Any:
-        """Create a publisher and wait until somebody listens to it."""
+        """Create a publisher, and wait until it has a subscriber."""
         publisher = self.node.create_publisher(kind, topic, qos)
         self.spin_until(publisher.get_subscription_count, f'a subscriber of {topic}')
         return publisher
@@ -258,9 +258,9 @@ class Peer(Closing):
 
 class Node(Closing):
     """
-    A node in a process and a namespace of its own, and a peer that talks to it.
+    A node in a separate process and namespace, and a peer that talks to it.
 
-    The process runs from `start` on, so that the peer can subscribe before.
+    `start` starts the process, so that the peer can subscribe before that.
     """
 
     process: NodeProcess
@@ -287,7 +287,7 @@ class Node(Closing):
     # Waiting
 
     def wait(self, condition: Callable[[], Any], what: str) -> None:
-        """Spin until something holds; give up at once if the node is gone."""
+        """Spin until a condition holds; fail at once if the node has ended."""
 
         def holds() -> Any:
             if not self.process.running:
@@ -300,18 +300,18 @@ class Node(Closing):
             raise TimeoutError(f'{error}; the log of the node:\n{self.process.log}') from None
 
     def wait_for(self, candidates: Callable[[], Iterable[Any]], what: str) -> Any:
-        """Spin until there is a first candidate, and give it."""
-        found: list[Any] = []
+        """Spin until there is a first candidate, and return it."""
+        first: list[Any] = []
 
         def holds() -> bool:
-            found.extend(itertools.islice(candidates(), 1))
-            return bool(found)
+            first.extend(itertools.islice(candidates(), 1))
+            return bool(first)
 
         self.wait(holds, what)
-        return found[0]
+        return first[0]
 
     def wait_for_log(self, *texts: str) -> str:
-        """Wait for a line of the log that holds all of the texts, and give it."""
+        """Wait for a line of the log that contains all texts, and return it."""
         return self.wait_for(
             lambda: (
                 line
@@ -323,9 +323,9 @@ class Node(Closing):
 
     def send_until(self, send: Callable[[], Any], condition: Callable[[], Any], what: str) -> None:
         """
-        Send again and again until something holds.
+        Send repeatedly until a condition holds.
 
-        The node's end of a topic may know of us a little later than we know of it.
+        The node may discover the peer a little later than the peer discovers the node.
         """
         again = 0.0
 
@@ -340,9 +340,9 @@ class Node(Closing):
 
     def heard_publisher(self, kind: Any, topic: str) -> Any:
         """
-        Create a publisher, and wait until the node hears it.
+        Create a publisher, and wait until the node receives its messages.
 
-        Without that, what is sent first may be lost where the node's end is best effort.
+        Otherwise the first messages may be lost if the subscription is best effort.
         """
         publisher = self.peer.publisher(kind, topic)
         before = self.counts()
@@ -351,7 +351,7 @@ class Node(Closing):
             lambda: self.counts().since(before).get('messages_unreadable'),
             f'{topic} to be heard',
         )
-        # What is still on its way is counted by now.
+        # By the next report, messages on their way are counted.
         self.counts()
         return publisher
 
@@ -365,7 +365,7 @@ class Node(Closing):
         }
 
     def call_async(self, service: str, request: Any) -> Future:
-        """Call a service of the node, once it is there."""
+        """Call a service of the node as soon as it exists."""
         if not self._heard:
             self._make_heard()
         client = self._clients[service]
@@ -373,17 +373,17 @@ class Node(Closing):
         return client.call_async(request)
 
     def call(self, service: str, request: Any) -> Any:
-        """Call a service of the node and wait for the response."""
+        """Call a service of the node, and return the response."""
         future = self.call_async(service, request)
         self.wait(future.done, f'a response of {service}')
         return future.result()
 
     def _make_heard(self) -> None:
         """
-        Wait until the node's responses find their way.
+        Wait until the node has discovered all clients.
 
-        A node drops the response to a client that it has not discovered in full. It discovers
-        clients in the order of their creation, so a response to the last one is enough.
+        A node drops responses to a client that it has not fully discovered. It discovers clients in
+        the order of their creation, so a response to the last one is enough.
         """
         client = self._clients['get_state']
         self.wait(client.service_is_ready, 'the services')
@@ -404,7 +404,7 @@ class Node(Closing):
         return self.call('set_parameters_atomically', request).result
 
     def set(self, values: Mapping[str, Any]) -> None:
-        """Set parameters that have to be accepted."""
+        """Set parameters; ValueError if they are refused."""
         result = self.set_atomically(values)
         if not result.successful:
             raise ValueError(result.reason)
@@ -432,7 +432,7 @@ class Node(Closing):
     # Diagnostics
 
     def reports(self) -> list[DiagnosticArray]:
-        """Give the node's own diagnostics that have arrived."""
+        """Return the diagnostics of this node that have arrived."""
         name = f'{self.namespace}/{self._executable}'.lstrip('/')
         return [array for array in self._diagnostics if array.status[0].name == name]
 
@@ -449,11 +449,11 @@ class Node(Closing):
         return self._diagnostics[0].status[0]
 
     def counts(self) -> Counts:
-        """Give the numbers of the next diagnostics."""
+        """Return the numbers in the next diagnostics."""
         return Counts(self.next_report())
 
     def stamped(self, message: Any) -> int:
-        """Give a message a stamp that no other has."""
+        """Set a unique stamp on a message, and return its number."""
         number = next(self._stamps)
         message.header.stamp.sec, message.header.stamp.nanosec = number, 7 * number
         return number
@@ -463,7 +463,7 @@ class Converter(Node):
     """
     The node `obb_to_hbb` and a peer.
 
-    What the peer hears on `boxes` is in `boxes`, unless `listen` is false.
+    `boxes` receives what the peer hears on that topic, unless `listen` is false.
     """
 
     def __init__(
@@ -486,9 +486,9 @@ class Converter(Node):
 
     def connect(self, answers: list[Any] | None = None) -> None:
         """
-        Send empty messages until one comes back on `boxes`, or wherever `answers` come from.
+        Send empty messages until the last one is answered, on `boxes` or in `answers`.
 
-        When this returns, nothing is on its way any more.
+        When this returns, no message is on its way.
         """
         answers = self.boxes if answers is None else answers
         sent: list[int] = []
@@ -500,13 +500,13 @@ class Converter(Node):
         answers.clear()
 
     def send(self, message: Any) -> int:
-        """Publish a message, and give the stamp by which its answer is known."""
+        """Publish a message, and return the stamp that identifies its answer."""
         number = self.stamped(message)
         self.publisher.publish(message)
         return number
 
     def answer_to(self, stamp: int, answers: list[Any] | None = None) -> Any:
-        """Wait for the answer to the message of that stamp."""
+        """Wait for the answer to the message with that stamp."""
         answers = self.boxes if answers is None else answers
         return self.wait_for(
             lambda: (message for message in answers if stamp_of(message) == stamp),
@@ -518,7 +518,7 @@ class Converter(Node):
         return self.answer_to(self.send(message), answers)
 
     def reset(self) -> None:
-        """Go back to the default parameters and forget what was heard."""
+        """Restore the default parameters, and drop received boxes."""
         self.set({spec.name: spec.default for spec in OBB_TO_HBB.rows if not spec.read_only})
         self.boxes.clear()
 
@@ -527,7 +527,7 @@ class ChipNode(Node):
     """
     The node `chip_extractor` and a peer.
 
-    What the peer hears is in `chips` and `infos`; when the node sent each chip is in `sent`.
+    `chips` and `infos` receive what the peer hears; `sent` has the time at which a chip was sent.
     """
 
     def __init__(
@@ -545,7 +545,7 @@ class ChipNode(Node):
         self.sent.append(info['source_timestamp'] / 1e9)
 
     def connect(self) -> None:
-        """Wait until all topics are connected, both ways."""
+        """Wait until all topics are connected in both directions."""
         self.images = self.peer.publisher(Image, 'image')
         self.plans = self.peer.publisher(Detection2DArray, 'crop_regions')
         self.send_until(
@@ -563,7 +563,7 @@ class ChipNode(Node):
         self.sent.clear()
 
     def stamp(self) -> Header:
-        """Make a header that no other message has."""
+        """Make a header with a unique stamp."""
         header = Header(frame_id='bow_camera')
         header.stamp.sec = next(self._stamps)
         return header
@@ -583,7 +583,7 @@ class ChipNode(Node):
         return header
 
     def warned(self, text: str) -> bool:
-        """Tell whether diagnostics have said something at level WARN."""
+        """Return whether diagnostics have reported a text at level WARN."""
         return any(
             text in status.message and status.level == DiagnosticStatus.WARN
             for array in self._diagnostics
@@ -593,9 +593,9 @@ class ChipNode(Node):
 
 class OverlayNode(Node):
     """
-    The node `overlay` and a peer that publishes whatever it is told.
+    The node `overlay`, and a peer that publishes to it.
 
-    Pictures are in `pictures`, if `look` is true.
+    `pictures` receives the pictures, if `look` is true.
     """
 
     def __init__(
@@ -607,7 +607,7 @@ class OverlayNode(Node):
         self.start(parameters=parameters)
 
     def connect(self, *layers: str) -> None:
-        """Publish images and some layers from now on, and wait until the node hears them."""
+        """Create publishers of images and layers, and wait until the node receives both."""
         self._publishers = {'image': self.peer.publisher(Image, 'image')}
         for layer in layers:
             self._publishers[layer] = self.peer.publisher(Detection2DArray, layer)
@@ -624,7 +624,7 @@ class OverlayNode(Node):
         self._publishers[topic].publish(message)
 
     def header(self) -> Header:
-        """Make a header that no other frame has."""
+        """Make a header with a unique stamp."""
         message = Image(header=Header(frame_id='bow_camera'))
         self.stamped(message)
         return message.header
@@ -639,7 +639,7 @@ class OverlayNode(Node):
         self.publish(layer, message)
 
     def send(self, pixels: NDArray[Any], encoding: str = 'mono8', **layers: Any) -> Header:
-        """Publish an image, and the boxes of its layers."""
+        """Publish an image and the boxes of its layers."""
         header = self.header()
         self.send_image(pixels, header, encoding)
         for layer, rows in layers.items():
@@ -655,7 +655,7 @@ class OverlayNode(Node):
 
 
 class Counts(dict[str, float]):
-    """The numbers of a report by name, 0 for those that it does not have."""
+    """The numbers of a report by name; 0 for names that it does not have."""
 
     def __init__(self, report: DiagnosticStatus) -> None:
         super().__init__()
@@ -669,7 +669,7 @@ class Counts(dict[str, float]):
         return 0.0
 
     def since(self, before: Counts, prefix: str = '') -> dict[str, float]:
-        """Give the counters that have changed, and by how much."""
+        """Return the counters that have changed, and by how much."""
         return {
             name: value - before[name]
             for name, value in self.items()
@@ -678,7 +678,7 @@ class Counts(dict[str, float]):
 
 
 def time_of(report: DiagnosticArray) -> float:
-    """Give when diagnostics were made, seconds since 1970."""
+    """Return the time at which diagnostics were made, seconds since 1970."""
     return report.header.stamp.sec + report.header.stamp.nanosec * 1e-9
 
 
@@ -691,7 +691,7 @@ def parameters_of(values: Mapping[str, Any]) -> list[Any]:
 
 
 def stamp_of(message: Any) -> int:
-    """Give the number that `Converter.stamped` has put into a message."""
+    """Return the number that `Node.stamped` has set on a message."""
     return message.header.stamp.sec
 
 

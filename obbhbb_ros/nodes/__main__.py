@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The executables. Signals come first, and only then everything that takes time to import.
+The executables. Signals are handled first; modules that take time to import come after that.
 
     python -m obbhbb_ros.nodes obb_to_hbb --ros-args -p q:=2.5
 """

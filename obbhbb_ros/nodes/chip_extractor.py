@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
@@ -38,6 +37,8 @@ from obbhbb_ros.downlink.stamps import ChipStamps
 from obbhbb_ros.nodes.camera_info import LatestCameraInfo
 from obbhbb_ros.nodes.chip_topics import ChipTopics
 from obbhbb_ros.nodes.managed import ManagedNode
+from obbhbb_ros.nodes.node_topics import TopicInput
+from obbhbb_ros.nodes.node_topics import reliable
 from obbhbb_ros.nodes.spool_report import facts_of
 from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
@@ -120,32 +121,24 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._spool: SpoolWriter | None = None
         # Reliable: a large image travels in many pieces, and is lost with any of them. The pieces
         # also push small messages such as plans out of the middleware's buffers.
-        add_plans = partial(
-            self.topics.input,
-            Detection2DArray,
-            reliability=ReliabilityPolicy.RELIABLE,
-            depth=PLANS_KEPT,
-        )
+        images, plans = reliable(IMAGES_KEPT), reliable(PLANS_KEPT)
         # Camera infos and sources come first, so that they are there before images and plans.
         self.topics.input(CameraInfo, 'camera_info', self._on_camera_info)
-        self._sources_in = (
-            add_plans('crop_sources', self._on_sources)
-            if self.parameters.settings.spool_path
-            else None
-        )
+        self._sources_in: TopicInput | None = None
+        if self.parameters.settings.spool_path:
+            self._sources_in = self.topics.input(
+                Detection2DArray, 'crop_sources', self._on_sources, qos=plans
+            )
         self._images_in = self.topics.input(
-            Image,
-            'image',
-            self._on_image,
-            'images_received',
-            reliability=ReliabilityPolicy.RELIABLE,
-            depth=IMAGES_KEPT,
+            Image, 'image', self._on_image, 'images_received', images
         )
-        self._plans_in = add_plans('crop_regions', self._on_regions, 'crop_plans_received')
+        self._plans_in = self.topics.input(
+            Detection2DArray, 'crop_regions', self._on_regions, 'crop_plans_received', plans
+        )
         self.reporter.add_facts(self._facts)
 
     def configure(self) -> None:
-        """Open the spool; what is known of the camera is out of date."""
+        """Open the spool, and forget camera and sources."""
         # If Pillow is missing, fail here and not at the first chip.
         import PIL.Image  # noqa: F401
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes in processes of their own, asked over DDS, for `obbhbb demo`."""
+"""Runs the nodes in separate processes and talks to them over DDS, for `obbhbb demo`."""
 
 from __future__ import annotations
 
@@ -40,20 +40,21 @@ from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.nodes.play_detections import image_message
 from obbhbb_ros.wire.detections import Detections
+from obbhbb_ros.wire.stamp import nanoseconds_of
 
 OVERLAY_TOPIC = '/overlay/compressed'
 
 _TIMEOUT = 20.0
 _AGAIN = 0.5
 _PERIOD = 0.25
-# Pixels; without a focal length, viewers take no camera info.
+# Pixels. Viewers refuse a camera info without a focal length.
 _FOCAL_LENGTH = 2000.0
-# Behind the encapsulation header, a message begins with its own header.
+# A message begins with its header, after the encapsulation header.
 _STAMP_AT = 4
 
 _SENT = {'/camera_info': CameraInfo, '/image': Image, '/detections': Detection2DArray}
 _PER_FRAME = {
-    # The first image is what viewers show without being asked.
+    # First, because viewers show the first image topic by default.
     OVERLAY_TOPIC: CompressedImage,
     **_SENT,
     '/boxes': Detection2DArray,
@@ -76,14 +77,14 @@ RECORDED_TOPICS = {
 
 class Recorded(NamedTuple):
     """
-    A message as it came over DDS.
+    A message as it arrived over DDS.
 
     Attributes
     ----------
     topic : str
         Its topic, without the namespace of the nodes.
     time : int
-        When it came, nanoseconds since 1970.
+        When it arrived, nanoseconds since 1970.
     data : bytes
         The serialized message with its encapsulation header.
     """
@@ -95,7 +96,7 @@ class Recorded(NamedTuple):
 
 def boxes_by_method(labels: ImageLabels) -> dict[str, FloatArray]:
     """
-    Convert an image's labels with the real node, once with each method it offers.
+    Convert an image's labels with the real node, by every method that it offers.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ def boxes_by_method(labels: ImageLabels) -> dict[str, FloatArray]:
     TimeoutError
         If the node does not answer in time.
     """
-    # One class per method, so that one message asks for all.
+    # One class per method, so that a single message asks for all methods.
     message = Detection2DArray(header=Header(frame_id='camera'))
     arguments = ['-p', f'class_ids:=[{",".join(ONBOARD_METHODS)}]']
     for method in ONBOARD_METHODS:
@@ -123,7 +124,7 @@ def boxes_by_method(labels: ImageLabels) -> dict[str, FloatArray]:
     with _Chain({'obb_to_hbb': arguments}) as chain:
         chain.node.create_subscription(Detection2DArray, 'boxes', answers.append, 10)
         publisher = chain.node.create_publisher(Detection2DArray, 'detections', 10)
-        # Again and again: client and node find each other's topics one after the other.
+        # Repeatedly, because client and node discover each other's topics one by one.
         chain.repeat_until(partial(publisher.publish, message), lambda: bool(answers), 'boxes')
     boxes = np.split(xyxy_of(answers[0]), len(ONBOARD_METHODS))
     return dict(zip(ONBOARD_METHODS, boxes, strict=True))
@@ -142,7 +143,7 @@ def xyxy_of(message: Detection2DArray) -> FloatArray:
 
 def record_chain(frames: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> list[Recorded]:
     """
-    Send images and their detections through all nodes that make something of them.
+    Send images and their detections through the nodes.
 
     Parameters
     ----------
@@ -152,19 +153,19 @@ def record_chain(frames: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> lis
     Returns
     -------
     list of Recorded
-        What was sent, and what `obb_to_hbb`, `chip_extractor` and `overlay` made of it, in the
-        order in which it came. Every frame is complete.
+        The messages sent, and those from `obb_to_hbb`, `chip_extractor` and `overlay`, in the order
+        of arrival. Every frame is complete.
 
     Raises
     ------
     TimeoutError
         If the nodes do not answer in time.
     """
-    # However long it takes: a picture that does not wait misses layers on a busy machine.
+    # On a busy machine, a picture with a shorter wait would miss layers.
     nodes = {'obb_to_hbb': [], 'chip_extractor': [], 'overlay': ['-p', 'max_wait:=60.0']}
     with _Chain(nodes) as chain:
         camera = _Camera(chain.node)
-        # Each node finds the topics of the others in its own time.
+        # Discovery takes a different time for every topic.
         chain.repeat_until(partial(camera.send, *frames[0]), camera.has_any, 'complete frame')
         camera.frames.clear()
         for labels, pixels in frames:
@@ -173,38 +174,39 @@ def record_chain(frames: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> lis
             chain.spin_until(camera.has_last, 'complete frame')
             chain.spin_for(due - time.monotonic())
     return sorted(
-        (each for frame in camera.frames for each in frame.messages), key=lambda each: each.time
+        (message for frame in camera.frames for message in frame.messages),
+        key=lambda message: message.time,
     )
 
 
 def last_overlay(messages: Sequence[Recorded]) -> bytes:
-    """Give the last picture with boxes, a JPEG file."""
-    *_, last = (each for each in messages if each.topic == OVERLAY_TOPIC)
+    """Return the last picture with boxes, a JPEG file."""
+    *_, last = (message for message in messages if message.topic == OVERLAY_TOPIC)
     return bytes(deserialize_message(last.data, CompressedImage).data)
 
 
 @dataclass
 class _Frame:
-    """Everything of one image, by its stamp."""
+    """All messages about one image."""
 
     stamp: int
     messages: list[Recorded] = field(default_factory=list)
 
     @property
     def is_complete(self) -> bool:
-        """Whether every message has come, once."""
-        plans = (each.data for each in self.messages if each.topic == '/crop_regions')
+        """Whether every message has arrived exactly once."""
+        plans = (m.data for m in self.messages if m.topic == '/crop_regions')
         chips = sum(len(Detections(data)) for data in plans)
         expected = {
             **dict.fromkeys(_PER_FRAME, 1),
             **dict.fromkeys(_PER_LAYER, len(LAYER_COLORS)),
             **dict.fromkeys(_PER_CHIP, chips),
         }
-        return Counter(each.topic for each in self.messages) == Counter(expected)
+        return Counter(message.topic for message in self.messages) == Counter(expected)
 
 
 class _Camera:
-    """A camera with a detector, and what becomes of its images."""
+    """A camera with a detector, which records all messages about its images."""
 
     def __init__(self, node: Any) -> None:
         self.frames: list[_Frame] = []
@@ -219,7 +221,7 @@ class _Camera:
             )
 
     def send(self, labels: ImageLabels, pixels: NDArray[np.uint8]) -> None:
-        """Publish a frame, as taken now."""
+        """Publish a frame with the present time as its stamp."""
         moment = self._node.get_clock().now()
         header = Header(stamp=moment.to_msg(), frame_id='camera')
         height, width = pixels.shape[:2]
@@ -229,19 +231,18 @@ class _Camera:
         self._publishers['/detections'].publish(detections_message(labels, header))
 
     def has_any(self) -> bool:
-        """Tell whether a frame is complete."""
+        """Return whether any frame is complete."""
         return any(frame.is_complete for frame in self.frames)
 
     def has_last(self) -> bool:
-        """Tell whether the last frame is complete."""
+        """Return whether the last frame is complete."""
         return self.frames[-1].is_complete
 
     def _receive(self, topic: str, data: bytes) -> None:
         """Add a message to its frame."""
         message = Recorded(topic, time.time_ns(), bytes(data))
-        seconds, nanoseconds = struct.unpack_from('<iI', data, _STAMP_AT)
-        stamp = seconds * 1_000_000_000 + nanoseconds
-        # The chips of an image are stamped some nanoseconds later, one each.
+        stamp = nanoseconds_of(struct.unpack_from('<iI', data, _STAMP_AT))
+        # The stamp of a chip is that of its image plus some nanoseconds.
         for frame in reversed(self.frames):
             if frame.stamp <= stamp:
                 frame.messages.append(message)
@@ -265,14 +266,14 @@ def _camera_info(header: Header, width: int, height: int) -> CameraInfo:
 
 class _Chain:
     """
-    Nodes in processes of their own, and one that talks to them, as long as a `with` block lasts.
+    Nodes in separate processes, and a node that talks to them, for the time of a `with` block.
 
-    They are in a namespace that no others are in.
+    They have a namespace to themselves.
 
     Parameters
     ----------
     nodes : mapping of str to sequence of str
-        What goes behind `--ros-args`, by executable.
+        Arguments after `--ros-args`, by executable.
 
     Attributes
     ----------
@@ -299,7 +300,7 @@ class _Chain:
                     '-m',
                     'obbhbb_ros.nodes',
                     executable,
-                    # Warnings of what is missing until all have found each other are no news.
+                    # Until discovery is complete, warnings of missing messages are normal.
                     '--ros-args',
                     '--log-level',
                     'error',
@@ -311,7 +312,7 @@ class _Chain:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End them."""
+        """Stop the processes."""
         for process in self._processes.values():
             process.send_signal(signal.SIGINT)
         for process in self._processes.values():
@@ -321,25 +322,25 @@ class _Chain:
         rclpy.try_shutdown(context=self._context)
 
     def spin_for(self, seconds: float) -> None:
-        """Take messages for some time."""
+        """Receive messages for some time."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
     def spin_until(self, condition: Callable[[], bool], what: str) -> None:
-        """Take messages until something holds."""
+        """Receive messages until a condition holds."""
         self.repeat_until(lambda: None, condition, what)
 
     def repeat_until(
         self, send: Callable[[], None], condition: Callable[[], bool], what: str
     ) -> None:
-        """Send something again and again until something holds; TimeoutError after a while."""
+        """Send something repeatedly until a condition holds; TimeoutError after 20 s."""
         deadline, again = time.monotonic() + _TIMEOUT, 0.0
         while not condition():
             now = time.monotonic()
-            gone = [name for name, each in self._processes.items() if each.poll() is not None]
-            if gone:
-                raise ChildProcessError(f'{gone[0]} has ended')
+            for name, process in self._processes.items():
+                if process.poll() is not None:
+                    raise ChildProcessError(f'{name} has ended')
             if now > deadline:
                 raise TimeoutError(f'{", ".join(self._nodes)}: no {what} in {_TIMEOUT:g} s')
             if now >= again:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.qos import DurabilityPolicy
-from rclpy.qos import ReliabilityPolicy
 from std_msgs.msg import Bool
 
 from obbhbb_ros.nodes.managed import ManagedNode
+from obbhbb_ros.nodes.node_topics import reliable
 from obbhbb_ros.nodes.spool_report import facts_of
 from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.settings.downlink import DOWNLINK
@@ -48,9 +48,7 @@ class Downlink(ManagedNode[DownlinkSettings]):
             Bool,
             'contact',
             self._on_contact,
-            reliability=ReliabilityPolicy.RELIABLE,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL,
-            depth=1,
+            qos=reliable(1, DurabilityPolicy.TRANSIENT_LOCAL),
         )
         self.parameters.on_change = self._steer
         self.reporter.add_facts(self._facts)

@@ -107,7 +107,7 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
                 part.configure()
         except Exception as error:
             self.get_logger().fatal(f'cannot configure: {type(error).__name__}: {error}')
-            self._cleanup_parts()
+            self._release_parts()
             return TransitionCallbackReturn.FAILURE
         return super().on_configure(state)
 
@@ -124,20 +124,18 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Remove all topics."""
-        self._cleanup_parts()
+        self._release_parts()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Remove all topics, from any state."""
-        self._deactivate_parts()
-        self._cleanup_parts()
+        self._release_parts()
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Remove all topics, and become unconfigured."""
         self.get_logger().error(f'error in state {state.label}, going back to unconfigured')
-        self._deactivate_parts()
-        self._cleanup_parts()
+        self._release_parts()
         return super().on_error(state)
 
     def _all_parts(self) -> tuple[Part, ...]:
@@ -148,7 +146,8 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
         for part in self._all_parts():
             part.deactivate()
 
-    def _cleanup_parts(self) -> None:
-        """Clean all parts up."""
+    def _release_parts(self) -> None:
+        """Deactivate all parts, whatever the state, and clean them up."""
+        self._deactivate_parts()
         for part in reversed(self._all_parts()):
             part.cleanup()

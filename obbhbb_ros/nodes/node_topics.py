@@ -42,6 +42,16 @@ def message_type(input_type: InputType) -> Any:
         ) from None
 
 
+def reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
+    """Return a reliable quality of service."""
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
+
+
+def best_effort(depth: int) -> QoSProfile:
+    """Return the quality of service that matches publishers of any reliability."""
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
 class TopicOutput:
     """
     A topic that a node publishes on; made by `NodeTopics.output`.
@@ -55,25 +65,21 @@ class TopicOutput:
     publish: Callable[[Any], None]
 
     def __init__(self, node: Node, kind: Any, topic: str, depth: int) -> None:
-        self._node, self._kind, self._topic = node, kind, topic
-        self._qos = QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
+        self._node, self._definition = node, (kind, topic, reliable(depth))
         self._publisher: Any = None
 
     def open(self) -> None:
         """Create the publisher."""
+        overridable = QoSOverridingOptions.with_default_policies()
         self._publisher = self._node.create_publisher(
-            self._kind,
-            self._topic,
-            self._qos,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            *self._definition, qos_overriding_options=overridable
         )
         self.publish = self._publisher.publish
 
     def close(self) -> None:
-        """Destroy the publisher."""
-        if self._publisher is not None:
-            self._node.destroy_publisher(self._publisher)
-            self._publisher = None
+        """Destroy the publisher, if there is one."""
+        self._node.destroy_publisher(self._publisher)
+        self._publisher = None
 
     def wanted(self) -> bool:
         """Return whether the topic has a subscriber."""
@@ -97,9 +103,9 @@ class TopicInput:
         counter: str,
         qos: QoSProfile,
     ) -> None:
-        self._topics, self._reporter, self._node = topics, topics.reporter, topics.node
-        self._kind, self._topic, self._callback, self._qos = kind, topic, callback, qos
-        self._counter = counter
+        self._topics, self._node = topics, topics.node
+        self._kind, self._topic, self._qos = kind, topic, qos
+        self._callback, self._counter = callback, counter
         self._subscription: Any = None
 
     @property
@@ -115,9 +121,8 @@ class TopicInput:
 
     def open(self) -> None:
         """Subscribe."""
-        kind = message_type(self._kind) if isinstance(self._kind, InputType) else self._kind
         self._subscription = self._node.create_subscription(
-            kind,
+            message_type(self._kind) if isinstance(self._kind, InputType) else self._kind,
             self._topic,
             self._receive_when_active if self._counter else self._receive,
             self._qos,
@@ -127,10 +132,9 @@ class TopicInput:
         )
 
     def close(self) -> None:
-        """Unsubscribe."""
-        if self._subscription is not None:
-            self._node.destroy_subscription(self._subscription)
-            self._subscription = None
+        """Unsubscribe, if subscribed."""
+        self._node.destroy_subscription(self._subscription)
+        self._subscription = None
 
     def has_publisher(self) -> bool:
         """Return whether the topic has a publisher that matches."""
@@ -138,7 +142,7 @@ class TopicInput:
 
     def _receive_when_active(self, data: bytes) -> None:
         """Count a message, and handle it if the node is active."""
-        counts = self._reporter.monitor.counts
+        counts = self._topics.reporter.monitor.counts
         counts[self._counter] += 1
         if self._topics.is_active:
             self._receive(data)
@@ -150,23 +154,18 @@ class TopicInput:
         try:
             self._callback(data)
         except WireError as error:
-            self._reporter.monitor.counts['messages_unreadable'] += 1
-            self._reporter.warn(
+            self._topics.reporter.monitor.add('messages_unreadable')
+            self._topics.reporter.warn(
                 'unreadable message',
                 f'dropped a message of {len(data)} bytes on {self.topic_name}, it cannot be '
-                f'read as {self._kind_name}: {error}',
+                f'read as {self._subscription.msg_type.__name__}: {error}',
             )
-
-    @property
-    def _kind_name(self) -> str:
-        """Name of the message type."""
-        return self._kind.name if isinstance(self._kind, InputType) else self._kind.__name__
 
     def _on_message_lost(self, status: Any) -> None:
         """Count messages that the middleware lost, and say how to avoid it."""
-        self._reporter.monitor.counts['messages_lost'] += status.total_count_change
+        self._topics.reporter.monitor.add('messages_lost', status.total_count_change)
         topic = self.topic_name
-        self._reporter.warn(
+        self._topics.reporter.warn(
             f'messages lost on {topic}',
             f'the middleware lost {status.total_count_change} messages on {topic}, '
             f'{status.total_count} in all: messages over 0.5 MB need the DDS profile '
@@ -213,13 +212,11 @@ class NodeTopics(Part):
         topic: str,
         callback: Callable[[bytes], object],
         counter: str = '',
-        reliability: ReliabilityPolicy = ReliabilityPolicy.BEST_EFFORT,
-        depth: int = _DEPTH,
-        durability: DurabilityPolicy = DurabilityPolicy.VOLATILE,
+        qos: QoSProfile | None = None,
         on_demand: bool = False,
     ) -> TopicInput:
         """
-        Add a topic to subscribe to; by default from publishers of any reliability.
+        Add a topic to subscribe to.
 
         If several inputs have messages, they are served in the order in which they were added.
 
@@ -234,8 +231,8 @@ class NodeTopics(Part):
         counter : str
             Counts the messages. They are handled only while the node is active; without a counter,
             always.
-        reliability, depth, durability
-            The default quality of service.
+        qos : QoSProfile, optional
+            Quality of service; by default best effort, which matches any publisher.
         on_demand : bool
             Whether the node itself opens the input, instead of `configure`.
 
@@ -244,10 +241,9 @@ class NodeTopics(Part):
         TopicInput
             The topic.
         """
-        qos = QoSProfile(depth=depth, reliability=reliability, durability=durability)
-        topic_input = TopicInput(self, kind, topic, callback, counter, qos)
-        (self._on_demand if on_demand else self._inputs).append(topic_input)
-        return topic_input
+        added = TopicInput(self, kind, topic, callback, counter, qos or best_effort(_DEPTH))
+        (self._on_demand if on_demand else self._inputs).append(added)
+        return added
 
     def configure(self) -> None:
         """Create publishers and subscriptions."""

@@ -11,7 +11,6 @@ from typing import Any
 from typing import TypeVar
 
 from builtin_interfaces.msg import Time
-from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
@@ -24,7 +23,9 @@ from obbhbb_ros.downlink.joiner import PLANS_KEPT
 from obbhbb_ros.downlink.joiner import ZERO_STAMP
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import TopicInput
+from obbhbb_ros.nodes.node_topics import best_effort
 from obbhbb_ros.nodes.node_topics import message_type
+from obbhbb_ros.nodes.node_topics import reliable
 from obbhbb_ros.nodes.parts import steady_timer
 from obbhbb_ros.overlay.collector import LayerCollector
 from obbhbb_ros.overlay.collector import NotDrawn
@@ -84,15 +85,9 @@ class Overlay(ManagedNode[OverlaySettings]):
         self._outputs = (self._pictures, self._markers, *self._markers_of.values())
         # As in the other nodes: a detector may publish with any reliability; everything else is
         # reliable, because the many pieces of a large image push small messages out of buffers.
-        reliable, any_reliability = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+        images, layers = reliable(IMAGES_KEPT), reliable(PLANS_KEPT)
         self._image_in = self.topics.input(
-            Image,
-            'image',
-            self._on_image,
-            'images_received',
-            reliable,
-            IMAGES_KEPT,
-            on_demand=True,
+            Image, 'image', self._on_image, 'images_received', images, on_demand=True
         )
         self._layers_in = {
             layer: self.topics.input(
@@ -100,14 +95,18 @@ class Overlay(ManagedNode[OverlaySettings]):
                 topic,
                 partial(self._on_layer, layer),
                 f'layers_received.{layer}',
-                reliability,
-                PLANS_KEPT,
+                qos,
                 on_demand=True,
             )
-            for layer, kind, topic, reliability in (
-                ('detections', self._input_type, self._input_type.topic, any_reliability),
-                ('boxes', Detection2DArray, 'boxes', reliable),
-                ('crop_regions', Detection2DArray, 'crop_regions', reliable),
+            for layer, kind, topic, qos in (
+                (
+                    'detections',
+                    self._input_type,
+                    self._input_type.topic,
+                    best_effort(PLANS_KEPT),
+                ),
+                ('boxes', Detection2DArray, 'boxes', layers),
+                ('crop_regions', Detection2DArray, 'crop_regions', layers),
             )
         }
         self._viewer_timer: Any = None
@@ -128,9 +127,7 @@ class Overlay(ManagedNode[OverlaySettings]):
 
     def cleanup(self) -> None:
         """Stop looking for viewers."""
-        if self._viewer_timer is not None:
-            self.destroy_timer(self._viewer_timer)
-            self._viewer_timer = None
+        self.destroy_timer(self._viewer_timer)
         self._close_inputs()
 
     def _facts(self) -> dict[str, str]:
@@ -157,9 +154,7 @@ class Overlay(ManagedNode[OverlaySettings]):
         """Unsubscribe from everything."""
         for topic in (self._image_in, *self._layers_in.values()):
             topic.close()
-        if self._drawing_timer is not None:
-            self.destroy_timer(self._drawing_timer)
-            self._drawing_timer = None
+        self.destroy_timer(self._drawing_timer)
 
     def _on_image(self, data: bytes) -> None:
         """Keep an image for its layers."""

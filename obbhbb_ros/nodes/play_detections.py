@@ -56,7 +56,7 @@ class PlayDetections(Node):
     Node `play_detections`: one message per image, at a rate, once or looped.
 
     Publishes `detections` or `polygons`, `camera_info` where the image's size is known, and
-    `image` where the image is found.
+    `image` if the image file exists.
 
     Parameters
     ----------
@@ -71,10 +71,10 @@ class PlayDetections(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__('play_detections', **kwargs)
-        self._parameters_in_force = LiveParameters[PlayerSettings](
+        self._live_parameters = LiveParameters[PlayerSettings](
             self, PLAY_DETECTIONS, internals.parameters_given(self)
         )
-        values: dict[str, Any] = self._parameters_in_force.values()
+        values: dict[str, Any] = self._live_parameters.values()
         self._output_type = INPUT_TYPES[values['output_type']]
         self._wanted = values['wait_for_subscribers']
         self._period = 1.0 / values['rate']
@@ -84,7 +84,7 @@ class PlayDetections(Node):
             raise ValueError(f'no image to play in {values["path"]}')
         self._files = find_images(self._images)
         self._position = 0
-        self._known_subscribers: list[int] = []
+        self._subscribers: list[int] = []
         self._quiet_polls = 0
         self._publisher = self._output(message_type(self._output_type), self._output_type.topic)
         self._camera_publisher = self._output(CameraInfo, 'camera_info')
@@ -127,26 +127,26 @@ class PlayDetections(Node):
                 throttle_duration_sec=5.0,
             )
             return
-        if not self._everybody_is_connected():
+        if not self._subscribers_are_connected():
             return
         self.destroy_timer(self._timer)
         self._timer = self.create_timer(self._period, self._play_next)
         self._play_next()
 
-    def _everybody_is_connected(self) -> bool:
-        """Return whether all known subscribers have been connected for a while, with none new."""
+    def _subscribers_are_connected(self) -> bool:
+        """Return whether all subscribers are connected, and none has come for a while."""
         publishers = (self._publisher, self._camera_publisher, self._image_publisher)
         counts = [publisher.get_subscription_count() for publisher in publishers]
-        known = [self.count_subscribers(publisher.topic_name) for publisher in publishers]
-        complete = known == self._known_subscribers and all(map(operator.ge, counts, known))
+        subscribers = [self.count_subscribers(publisher.topic_name) for publisher in publishers]
+        complete = subscribers == self._subscribers and all(map(operator.ge, counts, subscribers))
         self._quiet_polls = self._quiet_polls + 1 if complete else 0
-        self._known_subscribers = known
+        self._subscribers = subscribers
         return self._quiet_polls >= _QUIET_POLLS
 
     def _play_next(self) -> None:
         """Publish the next image's labels, or end."""
         if self._position == len(self._images):
-            if not self._parameters_in_force.settings.loop:
+            if not self._live_parameters.settings.loop:
                 self._end()
                 return
             self._position = 0
@@ -154,23 +154,23 @@ class PlayDetections(Node):
         self._position += 1
         header = Header(
             stamp=self.get_clock().now().to_msg(),
-            frame_id=self._parameters_in_force.settings.frame_id,
+            frame_id=self._live_parameters.settings.frame_id,
         )
         image = self._image(file, header)
         size = labels.size or (image and (image.width, image.height))
-        # Before the labels: whoever plans crops needs the size first.
+        # Before the labels, because a node that plans crops needs the size first.
         if size:
             width, height = size
             self._camera_publisher.publish(CameraInfo(header=header, width=width, height=height))
         if image:
             self._image_publisher.publish(image)
-        settings = self._parameters_in_force.settings
+        settings = self._live_parameters.settings
         for message in _MESSAGES[self._output_type.name](labels, header, settings.bow):
             self._publisher.publish(message)
 
     def _image(self, file: Path | None, header: Header) -> Image | None:
-        """Read an image; None if it is not wanted or cannot be read."""
-        if not self._parameters_in_force.settings.images or file is None:
+        """Read an image; None if `images` is off or it cannot be read."""
+        if not self._live_parameters.settings.images or file is None:
             return None
         try:
             return image_message(*load_image(file), header)
@@ -193,8 +193,8 @@ def detections_message(
     """
     Write an image's labels as oriented detections, in the same order.
 
-    The id is `image/instance`, the instance being an index where the labels do not name it. With
-    `bow`, theta points to the bow; where that is not known, the size along theta is the width.
+    The id is `image/instance`; the instance is an index if the labels have no name for it. With
+    `bow`, theta points to the bow; if the bow is unknown, the size along theta is the width.
     """
     message = Detection2DArray(header=header)
     for i, (x, y, length, width, theta) in enumerate(_xywhr(labels, bow).tolist()):
@@ -217,10 +217,10 @@ def _xywhr(labels: ImageLabels, bow: BowSource) -> FloatArray:
     boxes = labels.boxes(bow)
     rows = boxes.xywhr
     if bow == 'first-edge' or (bow == 'labels' and labels.bow is not None):
-        # A size along theta that is the shorter one says that the bow is not known.
+        # If the size along theta is the shorter one, the node takes the bow as unknown.
         unknown = ~boxes.bow
         rows[unknown] = rows[unknown][:, [0, 1, 3, 2, 4]] + (0.0, 0.0, 0.0, 0.0, np.pi / 2.0)
-        # Of a square as well.
+        # A square needs a shorter side, too.
         rows[unknown, 3] = np.maximum(rows[unknown, 3], rows[unknown, 2] * (1.0 + 1e-9))
     return rows
 
@@ -232,18 +232,18 @@ def yolo_message(labels: ImageLabels, header: Header, bow: BowSource = 'none') -
 
     class_ids = sorted(set(labels.class_ids))
     message = DetectionArray(header=header)
-    for each in detections_message(labels, header, bow).detections:
-        hypothesis = each.results[0].hypothesis
+    for source in detections_message(labels, header, bow).detections:
+        hypothesis = source.results[0].hypothesis
         detection = Detection(
             class_id=class_ids.index(hypothesis.class_id),
             class_name=hypothesis.class_id,
             score=hypothesis.score,
-            id=each.id,
+            id=source.id,
         )
-        center, box = each.bbox.center, detection.bbox
+        center, box = source.bbox.center, detection.bbox
         box.center.position.x, box.center.position.y = center.position.x, center.position.y
         box.center.theta = center.theta
-        box.size.x, box.size.y = each.bbox.size_x, each.bbox.size_y
+        box.size.x, box.size.y = source.bbox.size_x, source.bbox.size_y
         message.detections.append(detection)
     return message
 
@@ -251,7 +251,7 @@ def yolo_message(labels: ImageLabels, header: Header, bow: BowSource = 'none') -
 def image_message(encoding: str, pixels: NDArray[Any], header: Header) -> Image:
     """Write an image of uint8 or uint16 pixels, (H, W) or (H, W, C), little-endian."""
     height, width = pixels.shape[:2]
-    # An array of bytes goes into the message as it is; anything else is checked byte by byte.
+    # rclpy takes an array of bytes as it is, and checks anything else byte by byte.
     data = array('B', pixels.astype(pixels.dtype.newbyteorder('<'), order='C').tobytes())
     return Image(
         header=header,

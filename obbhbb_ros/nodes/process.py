@@ -34,11 +34,22 @@ _MAX_WAIT = 1.0
 _REASONS = (ParameterException, StartError, ValueError, OSError)
 
 
+def executor_for(node: Node) -> Executor:
+    """Make an executor for a node: `ExpressExecutor`, or rclpy's own if that cannot be made."""
+    try:
+        executor: Executor = ExpressExecutor(context=node.context)
+    except UnknownRclpyError as error:
+        node.get_logger().warning(f'{error}: using its own executor, which is slower')
+        executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    return executor
+
+
 def run(
     make_node: Callable[[], Node],
     stop: Stop,
     args: Sequence[str] | None = None,
-    make_executor: Callable[[Node], Executor] | None = None,
+    make_executor: Callable[[Node], Executor] = executor_for,
 ) -> int:
     """
     Run a node until SIGINT, SIGTERM or a shutdown of its context.
@@ -52,7 +63,7 @@ def run(
     args : sequence of str, optional
         Command line, `sys.argv` by default.
     make_executor : callable, optional
-        Makes the executor of the node; `executor_for` by default.
+        Makes the executor of the node.
 
     Returns
     -------
@@ -78,7 +89,7 @@ def run(
     stop.on_leaving = state_file.end
     stop.patience = RUNNING
     try:
-        _run_to_the_end((make_executor or executor_for)(node), node, stop, supervision)
+        _run_to_the_end(make_executor(node), node, stop, supervision)
     except BaseException as error:
         state_file.end(f'{type(error).__name__}: {error}')
         raise
@@ -120,17 +131,6 @@ def never_wait_to_log() -> None:
                 descriptor = os.open(f'/proc/self/fd/{number}', flags)
                 os.dup2(descriptor, number)
                 os.close(descriptor)
-
-
-def executor_for(node: Node) -> Executor:
-    """Make an executor for a node: `ExpressExecutor`, or rclpy's own if that cannot be made."""
-    try:
-        executor: Executor = ExpressExecutor(context=node.context)
-    except UnknownRclpyError as error:
-        node.get_logger().warning(f'{error}: using its own executor, which is slower')
-        executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    return executor
 
 
 def spin(executor: Executor, node: Node, stop: Stop, supervision: Supervision) -> None:

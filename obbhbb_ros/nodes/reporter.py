@@ -87,11 +87,8 @@ class Reporter(Part):
 
     def cleanup(self) -> None:
         """Stop publishing diagnostics."""
-        if self._timer is not None:
-            self._node.destroy_timer(self._timer)
-        if self._publisher is not None:
-            self._node.destroy_publisher(self._publisher)
-        self._publisher = self._timer = None
+        self._node.destroy_timer(self._timer)
+        self._node.destroy_publisher(self._publisher)
 
     def _publish(self) -> None:
         """Publish the report of the period that ends now."""

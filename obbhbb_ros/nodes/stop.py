@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SIGINT and SIGTERM, from the first line of a node's process to its last."""
+"""Handles SIGINT and SIGTERM from the first line of a node's process to its last."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 class Stop:
     """
-    Takes both signals for the rest of the process: the first asks it to end, the others do nothing.
+    Handles both signals until the process ends: the first asks it to end, the rest do nothing.
 
-    They are blocked in every thread and waited for in one of ours, so that none interrupts
-    anything, wherever it is: a terminal's Ctrl-C reaches a launched node twice within 50 ms.
-    Nothing else of the package is imported here, so that this can be the first thing to happen.
+    The signals are blocked in all threads, and a thread of this class waits for them. So they
+    interrupt nothing, although Ctrl-C in a terminal reaches a launched node twice within 50 ms.
+    This module imports nothing else of the package, so that it can be the first to run.
 
     Attributes
     ----------
     patience : float
-        How long the process may take to end after the first signal, seconds. As long as nothing
-        has begun it leaves at once.
+        How long the process may take to end after the first signal, seconds. At first it ends at
+        once.
     name : str
-        Name of the first signal, empty before.
+        Name of the first signal; empty before it comes.
     on_leaving : callable
         Called with the reason if the process does not end by itself.
     """
@@ -51,7 +51,7 @@ class Stop:
         return self._requested.is_set()
 
     def wake_by(self, wake: Callable[[], None] | None) -> None:
-        """Call `wake`, from another thread, when a signal comes; nothing from now on for None."""
+        """Set the function that the signal thread calls when a signal comes; None for none."""
         with self._lock:
             self._wake = wake
 
@@ -63,13 +63,13 @@ class Stop:
         with self._lock:
             if self._wake is not None:
                 self._wake()
-        # It may have begun meanwhile, and get more time.
+        # The node may finish starting in the meantime, which raises the patience.
         while (left := asked + self.patience - time.monotonic()) > 0.0:
             signal.sigtimedwait(SIGNALS, left)
         self._leave()
 
     def _leave(self) -> None:
-        """End the process at once; write its stacks if it should have ended by itself."""
+        """End the process at once; write its stacks if it hangs."""
         if self.patience <= STARTING:
             os._exit(0)
         reason = f'not ended {self.patience:g} s after a signal'
@@ -78,7 +78,7 @@ class Stop:
 
 def leave(code: int, reason: str, last: Callable[[], object]) -> NoReturn:
     """
-    End the process at once, from any thread, whatever the others are stuck in.
+    End the process at once, from any thread, whatever the other threads do.
 
     Parameters
     ----------
@@ -87,23 +87,25 @@ def leave(code: int, reason: str, last: Callable[[], object]) -> NoReturn:
     reason : str
         Written to standard error, with the stacks of all threads.
     last : callable
-        Done before the end, unless it takes too long: a disk may not answer.
+        Called before the end, for one second at most: a disk may not answer.
     """
-    # Without standard error its number is that of another file.
+    # If standard error is closed, its number belongs to another file.
     if sys.stderr is not None:
         with suppress(OSError, ValueError, RuntimeError):
             os.write(2, f'{reason}, leaving from:\n'.encode())
             faulthandler.dump_traceback(2, all_threads=True)
-    # No thread can be started where memory or a limit is used up.
+    # Starting a thread fails when memory or a limit is used up.
     with suppress(RuntimeError):
         thread = threading.Thread(target=last, daemon=True)
         thread.start()
-        thread.join(_LAST_WORDS)
+        thread.join(_LAST_CALL)
     os._exit(code)
 
 
-# Patience while a node is being made: a long label file is not read to its end.
 STARTING = 1.0
-# Patience after that; `ros2 launch` kills after ten seconds.
+"""Patience while the node starts, seconds: reading a long label file is not worth waiting for."""
+
 RUNNING = 4.0
-_LAST_WORDS = 1.0
+"""Patience after that, seconds; `ros2 launch` kills after ten."""
+
+_LAST_CALL = 1.0

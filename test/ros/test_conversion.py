@@ -40,19 +40,19 @@ def hypothesis(class_id: str, score: float) -> ObjectHypothesisWithPose:
 def rich_message() -> Detection2DArray:
     """Detections with everything that a detector may put into them."""
     message = detections(fleet(5), class_id=None)
-    for i, each in enumerate(message.detections):
-        each.id = f'schiff-{i}-ß'
-        each.header = Header(frame_id=f'tile_{i}')
-        each.header.stamp.sec, each.header.stamp.nanosec = -i, 999_999_999 - i
-        each.results = [hypothesis(f'class{k}', 0.1 * k) for k in range(i)]
+    for i, item in enumerate(message.detections):
+        item.id = f'schiff-{i}-ß'
+        item.header = Header(frame_id=f'tile_{i}')
+        item.header.stamp.sec, item.header.stamp.nanosec = -i, 999_999_999 - i
+        item.results = [hypothesis(f'class{k}', 0.1 * k) for k in range(i)]
     return message
 
 
 def test_everything_but_the_boxes_comes_back_as_it_was(node: Converter) -> None:
     message = rich_message()
     answer = node.convert(message)
-    for given, got in zip(message.detections, answer.detections, strict=True):
-        got.bbox = copy.deepcopy(given.bbox)
+    for sent, got in zip(message.detections, answer.detections, strict=True):
+        got.bbox = copy.deepcopy(sent.bbox)
     assert answer == message
 
 
@@ -177,8 +177,8 @@ def test_a_message_of_another_byte_order_is_converted_all_the_same(node: Convert
     node.publisher.publish(big_endian(message))
     answer = node.answer_to(stamp)
     np.testing.assert_array_equal(rows_of(answer), axis_aligned(fleet(5)))
-    for given, got in zip(message.detections, answer.detections, strict=True):
-        got.bbox = copy.deepcopy(given.bbox)
+    for sent, got in zip(message.detections, answer.detections, strict=True):
+        got.bbox = copy.deepcopy(sent.bbox)
     assert answer == message
 
 
@@ -200,8 +200,8 @@ def parts(value: Any) -> Iterator[tuple[str, Any]]:
     elif isinstance(value, (list, np.ndarray)):
         if isinstance(value, list):
             yield 'I', len(value)
-        for each in value:
-            yield from parts(each)
+        for item in value:
+            yield from parts(item)
     elif isinstance(value, (int, float)):
         yield 'd' if isinstance(value, float) else 'i', value
     else:

@@ -109,9 +109,9 @@ def test_trouble_is_a_warning_in_the_next_report_and_no_longer(node: Converter) 
 
     def reports_of_it() -> list[DiagnosticStatus]:
         return [
-            each.status[0]
-            for each in node.reports()
-            if Counts(each.status[0]).since(before, 'detections_dropped')
+            report.status[0]
+            for report in node.reports()
+            if Counts(report.status[0]).since(before, 'detections_dropped')
         ]
 
     node.wait(lambda: len(reports_of_it()) >= 2, 'two reports')
@@ -136,7 +136,7 @@ def test_silence_is_an_error_and_then_stale_until_input_comes(
     assert node.process.log.count('no input for') == 1
     node.convert(detections(fleet(1)))
     node.wait(
-        lambda: any(each.status[0].level == DiagnosticStatus.OK for each in node.reports()),
+        lambda: any(report.status[0].level == DiagnosticStatus.OK for report in node.reports()),
         'the end of the silence',
     )
     assert 'input is back' in node.process.log

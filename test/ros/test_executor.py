@@ -50,7 +50,7 @@ class Busy(Node):
 
 
 class Scene:
-    """An executor with a busy node, and everything that may be added to them."""
+    """An executor with a busy node, to which other nodes may be added."""
 
     def __init__(self, kind: type[Executor], site: Site) -> None:
         self._context = site.context
@@ -66,11 +66,11 @@ class Scene:
         return node
 
     def publishers(self) -> list[Any]:
-        """Give publishers of both topics, from a node that the executor does not run."""
+        """Return publishers of both topics, of a node that the executor does not run."""
         node = Node('peer', namespace=self.node.get_namespace(), context=self._context)
         self._nodes.append(node)
         made = [node.create_publisher(Bool, topic, DEEP) for topic in ('first', 'second')]
-        self.spin_until(lambda: all(each.get_subscription_count() for each in made))
+        self.spin_until(lambda: all(publisher.get_subscription_count() for publisher in made))
         return made
 
     def spin_until(self, condition: Callable[[], Any]) -> None:
@@ -80,7 +80,7 @@ class Scene:
             self.executor.spin_once(timeout_sec=0.1)
 
     def settle(self) -> None:
-        """Have all handled that is ready, even if the machine takes its time."""
+        """Handle all that is ready, even on a slow machine."""
         for _ in range(20):
             self.executor.spin_once(timeout_sec=0.01)
 
@@ -124,22 +124,22 @@ def test_a_guard_condition_of_another_node_is_answered(scene: Scene) -> None:
 
 
 def test_the_timers_of_all_nodes_run_at_their_pace(scene: Scene) -> None:
-    calls = {'own': 0, 'other': 0}
+    calls = {'first': 0, 'second': 0}
 
     def count(name: str) -> None:
         calls[name] += 1
 
-    scene.node.create_timer(0.05, lambda: count('own'))
+    scene.node.create_timer(0.05, lambda: count('first'))
     other = scene.add()
-    other.create_timer(0.05, lambda: count('other'))
+    other.create_timer(0.05, lambda: count('second'))
     started = time.monotonic()
     scene.spin_until(lambda: min(calls.values()) > 15)
     assert max(calls.values()) <= (time.monotonic() - started) / 0.05 + 2
     scene.executor.remove_node(other)
     scene.spin_for(0.1)
     before = dict(calls)
-    scene.spin_until(lambda: calls['own'] > before['own'] + 5)
-    assert calls['other'] == before['other']
+    scene.spin_until(lambda: calls['first'] > before['first'] + 5)
+    assert calls['second'] == before['second']
 
 
 def test_events_reach_their_callbacks(scene: Scene) -> None:

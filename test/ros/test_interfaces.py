@@ -169,7 +169,9 @@ def test_cdr_laid_out_by_hand_is_read_as_the_message(
 
 
 # More than serialization: the middleware also registers the type, by other type supports.
-@pytest.mark.parametrize('message', [DETECTIONS, POLYGONS], ids=lambda each: type(each).__name__)
+@pytest.mark.parametrize(
+    'message', [DETECTIONS, POLYGONS], ids=lambda message: type(message).__name__
+)
 def test_message_and_type_hash_travel(site: Site, message: Any) -> None:
     with Peer(site.context, '/test_interfaces') as peer:
         received = peer.collect(type(message), 'example', KEPT)
@@ -179,4 +181,4 @@ def test_message_and_type_hash_travel(site: Site, message: Any) -> None:
     assert received[:1] == [message]
     package = type(message).__module__.split('.', maxsplit=1)[0]
     expected = RELEASED[package, type(message).__name__]
-    assert {str(each.topic_type_hash) for each in publishers} == {expected}
+    assert {str(endpoint.topic_type_hash) for endpoint in publishers} == {expected}

@@ -194,5 +194,5 @@ def test_a_node_that_cannot_be_configured_says_why_and_stays(start: Start) -> No
 def test_lifecycle_tools_are_told_the_way(managed: Converter) -> None:
     request = GetAvailableTransitions.Request()
     response = managed.call('get_available_transitions', request)
-    labels = [each.transition.label for each in response.available_transitions]
+    labels = [available.transition.label for available in response.available_transitions]
     assert sorted(labels) == ['configure', 'shutdown']

@@ -273,7 +273,7 @@ def test_a_node_with_nothing_to_do_does_next_to_nothing(start: Start) -> None:
 BAD_PARAMETERS = [
     ({'q': 0.5}, ('q', '0.5', '1.0')),
     ({'q': 3}, ('q', '3', 'DOUBLE', 'INTEGER')),
-    ({'f': 0.0}, ('f', '0.0', '(0, 2]')),
+    ({'f': 0.0}, ('f', '0.0', 'above 0 and at most 2')),
     ({'s': float('nan')}, ('s', 'nan')),
     ({'method': 'elipse'}, ('method', 'elipse', 'superellipse')),
     ({'input_type': 'Image'}, ('input_type', 'Image', 'Detection2DArray')),
@@ -338,8 +338,8 @@ def profiles(node: Converter) -> dict[str, QoSProfile]:
     }
 
     def infos(topic: str) -> list[Any]:
-        found = topics[topic](f'{node.namespace}/{topic}')
-        return [each for each in found if each.node_name == 'obb_to_hbb']
+        endpoints = topics[topic](f'{node.namespace}/{topic}')
+        return [endpoint for endpoint in endpoints if endpoint.node_name == 'obb_to_hbb']
 
     return {
         topic: node.wait_for(lambda topic=topic: infos(topic), topic).qos_profile
@@ -353,7 +353,7 @@ def test_by_default_input_is_best_effort_and_output_reliable(start: Start) -> No
         assert got[topic].reliability == ReliabilityPolicy.BEST_EFFORT
     for topic in ('boxes', 'crop_regions'):
         assert got[topic].reliability == ReliabilityPolicy.RELIABLE
-    assert {each.durability for each in got.values()} == {DurabilityPolicy.VOLATILE}
+    assert {profile.durability for profile in got.values()} == {DurabilityPolicy.VOLATILE}
 
 
 QOS_YAML = """
@@ -429,7 +429,7 @@ def test_a_publisher_whose_profile_does_not_fit_is_logged(start: Start) -> None:
 def test_a_log_that_nobody_reads_stops_nothing(
     start: Callable[..., Converter], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    ends = os.pipe() if kind == 'pipe' else [each.detach() for each in socket.socketpair()][::-1]
+    ends = os.pipe() if kind == 'pipe' else [end.detach() for end in socket.socketpair()][::-1]
     unread, full = ends
     os.set_blocking(full, False)
     with contextlib.suppress(BlockingIOError):
@@ -450,10 +450,10 @@ def test_a_log_that_nobody_reads_stops_nothing(
         node.convert(detections(fleet(3)))
     # It need not be the next one that tells.
     node.wait(
-        lambda: any(each.status[0].level == DiagnosticStatus.WARN for each in node.reports()),
+        lambda: any(report.status[0].level == DiagnosticStatus.WARN for report in node.reports()),
         'the level',
     )
-    node.wait(lambda: any('cannot be read' in each.msg for each in log), 'the warning on /rosout')
+    node.wait(lambda: any('cannot be read' in line.msg for line in log), 'the warning on /rosout')
     node.process.send_signal(signal.SIGTERM)
     assert node.process.wait(SOON) == 0
     os.close(full)

@@ -43,7 +43,7 @@ DEEP = QoSProfile(depth=10_000)
 
 
 class Chain(ExitStack):
-    """Both nodes, each in a process of its own, under a steady load."""
+    """Both nodes, in separate processes, under a steady load."""
 
     def __init__(self, site: Site, side: int, detections: int) -> None:
         super().__init__()
@@ -126,7 +126,7 @@ def stamp_of(data: bytes) -> int:
 
 
 def run(chain: Chain, rate: float, minutes: float) -> list[list[float]]:
-    """Keep the load up; give the memory after each report period."""
+    """Keep up the load; return the memory after every report period."""
     chain.connect()
     resident: list[list[float]] = []
 
@@ -135,7 +135,7 @@ def run(chain: Chain, rate: float, minutes: float) -> list[list[float]]:
         print(
             f'{len(resident) * REPORT_PERIOD:5.0f} s: sent {chain.sent}, '
             f'chips {chain.chips.total()}, resident '
-            + ', '.join(f'{each:.1f} MB' for each in resident[-1]),
+            + ', '.join(f'{size:.1f} MB' for size in resident[-1]),
             flush=True,
         )
 
@@ -151,16 +151,16 @@ def run(chain: Chain, rate: float, minutes: float) -> list[list[float]]:
 
 def grown(resident: list[list[float]]) -> list[float]:
     """
-    Give how much memory each process gained in the second half.
+    Return how much memory the processes gained in the second half.
 
-    A burst while the machine is busy with something else may raise it once; a leak goes on.
+    A busy machine may raise it once; a leak goes on.
     """
     half = resident[len(resident) // 2 :]
     return np.subtract(half[-1], half[0]).round(1).tolist() if half else []
 
 
 def verdict(chain: Chain) -> bool:
-    """Hold what arrived against what the nodes say, and print it."""
+    """Compare what arrived with what the nodes report, and print both."""
     first, last = chain.reports['obb_to_hbb'], chain.reports['chip_extractor']
 
     def count(report: dict[str, Any], name: str) -> int:
@@ -200,7 +200,7 @@ def main() -> None:
         codes = [process.close() for process in chain.processes]
     growth = grown(resident)
     print(f'memory grown in the second half {growth} MB; exit codes {codes}')
-    sys.exit(0 if good and not any(codes) and all(each < 2.0 for each in growth) else 1)
+    sys.exit(0 if good and not any(codes) and max(growth, default=0.0) < 2.0 else 1)
 
 
 if __name__ == '__main__':

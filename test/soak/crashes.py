@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Crash the conversion node in every way, start it again as launch does, and time its absence.
+Crash the conversion node in every way, restart it as launch does, and time its absence.
 
     python test/soak/crashes.py --count 25
 
@@ -31,7 +31,7 @@ HEAD = ('end of the last run', 'crashes', 'until it ended [s]', 'then median [s]
 
 
 def measure(site: Site, folder: Path, name: str, count: int, delay: float) -> list[str]:
-    """Crash a node in one way so many times; give a row of the table."""
+    """Crash a node in one way, many times; return a row of the table."""
     way, code, why = CRASHES[name]
     folder.mkdir()
     ends, absences = [], []
@@ -52,7 +52,7 @@ def measure(site: Site, folder: Path, name: str, count: int, delay: float) -> li
             assert node.values['last_run.ended'] == why, node.values
             assert node.values['restarts'] == str(restarts), node.values
     figures = max(ends), np.median(absences), max(absences)
-    return [name, str(count), *(f'{each:.2f}' for each in figures)]
+    return [name, str(count), *(f'{figure:.2f}' for figure in figures)]
 
 
 def main() -> None:

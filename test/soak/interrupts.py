@@ -5,8 +5,8 @@ Start every executable many times and interrupt it twice, as Ctrl-C under `ros2 
     python test/soak/interrupts.py --count 100
 
 The first SIGINT comes at a random moment of the first two seconds, the second up to 50 ms later.
-Every end must be exit code 0 and silence. What comes before the executable's own first line meets
-Python alone, which no program can help: those ends are counted apart.
+Every node must exit with 0 and without output. A signal that arrives while Python itself is still
+starting cannot be handled by any program: those ends are counted separately.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ EXECUTABLES = ('obb_to_hbb', 'chip_extractor', 'overlay', 'play_detections')
 
 
 def interrupted(site: Site, executable: str, source: random.Random) -> str:
-    """Start, interrupt twice, and tell how it ended."""
+    """Start a node, interrupt it twice, and return how it ended."""
     with site.start(executable) as process:
         time.sleep(source.uniform(0.0, 2.0))
         early = not process.has_signals_in_hand

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Kill `chip_extractor` and `downlink` at random moments, and hold the books against the bus.
+Kill `chip_extractor` and `downlink` at random moments, and compare their books with the bus.
 
     python test/soak/kills.py --count 500
 

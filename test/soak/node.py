@@ -108,7 +108,7 @@ class Soak(Node):
 
 
 def run(soak: Soak, minutes: float) -> list[float]:
-    """Keep the load up; give the memory after each report period."""
+    """Keep up the load; return the memory after every report period."""
     soak.connect()
     resident: list[float] = []
 

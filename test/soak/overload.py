@@ -88,8 +88,8 @@ def measure(make_executor: Callable[..., Executor], seconds: float) -> bool:
     ticks = [tick for tick in node.ticks if tick <= ended]
     gaps = np.diff([started, *ticks, ended])
     executor.shutdown()
-    for each in (node, peer):
-        each.destroy_node()
+    node.destroy_node()
+    peer.destroy_node()
     rclpy.shutdown()
     print(
         f'timer: {len(ticks)} ticks in {ended - started:.1f} s, longest gap {gaps.max():.2f} s; '

@@ -26,10 +26,10 @@ def family(root: int) -> list[int]:
         with suppress(OSError):
             parent = int(stat.read_text().rpartition(')')[2].split()[1])
             children.setdefault(parent, []).append(int(stat.parent.name))
-    found = [root]
-    for each in found:
-        found += children.get(each, [])
-    return found
+    tree = [root]
+    for process in tree:
+        tree += children.get(process, [])
+    return tree
 
 
 def send(number: int, pids: Iterable[int]) -> None:
