@@ -155,7 +155,7 @@ def _lines(image: ImageLabels | ImageBoxes, numbers: Mapping[str, str]) -> list[
         boxes = np.hstack(((low + high) / 2, high - low))
     boxes = boxes / np.tile(np.array(image.size or (1, 1), np.float64), boxes.shape[1] // 2)
     if not text.is_normalised(boxes.flat):
-        raise ValueError(f'image {image.image!r}: a box lies far outside {image.size}')
+        raise ValueError(f'image {image.image!r}: a box lies far outside its size {image.size}')
     if np.any((image.scores < 0.0) | (image.scores > 1.0)):
         raise ValueError(f'image {image.image!r}: scores are not within 0..1')
     if np.any(image.scores != 1.0):

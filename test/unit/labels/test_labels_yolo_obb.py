@@ -272,7 +272,7 @@ def test_names_in_classes_txt_keep_their_number(put: Put, make: Make, tmp_path: 
     ('box', 'size', 'message'),
     [
         (IN_BOX, None, 'YOLO needs its size'),
-        (IN_BOX, (32, 24), r'far outside \(32, 24\)'),
+        (IN_BOX, (32, 24), 'far outside its size'),
         (IN_BOX._replace(score=1.5), SIZE, 'scores are not within'),
         (IN_BOX._replace(class_id=''), SIZE, 'cannot be a line'),
         (IN_BOX._replace(class_id=' ship'), SIZE, 'cannot be a line'),
