@@ -52,6 +52,8 @@ class Buffer:
 
     Attributes
     ----------
+    order : str
+        Byte order, '<' or '>', as `struct` writes it.
     size : int
         Bytes of the body.
     lengths : memoryview of uint32
@@ -68,7 +70,7 @@ class Buffer:
         order = _BYTE_ORDERS.get(header[:2])
         if order is None or len(header) < _ENCAPSULATION:
             raise WireError(f'encapsulation {header.hex()} is not plain CDR')
-        self._order = order
+        self.order = order
         self.size = len(data) - _ENCAPSULATION
         self._body = self._hold(data)
         words = np.frombuffer(self._body, _WORD[order], self.size // 4)
@@ -85,17 +87,12 @@ class Buffer:
         seconds, nanoseconds = self.numbers(0, 'iI')
         return seconds, nanoseconds
 
-    @property
-    def is_big_endian(self) -> bool:
-        """Whether the most significant byte of a number comes first."""
-        return self._order == '>'
-
     def numbers(self, place: int, codes: str) -> tuple[Any, ...]:
         """Read numbers, whose types are given as `struct` does."""
-        return struct.unpack_from(self._order + codes, self._body, place)
+        return struct.unpack_from(self.order + codes, self._body, place)
 
     def content(self, place: int) -> memoryview:
-        """Return the bytes behind a length: of a string, with its closing zero, or of a uint8[]."""
+        """Return the bytes that follow a length: a string with its closing zero, or a uint8[]."""
         start = place + 4
         return self._body[start : start + self.lengths[place >> 2]]
 
@@ -147,7 +144,7 @@ class EditableBuffer(Buffer):
         for size, places in numbers:
             values = self.words.view(f'u{size}')
             values[places // size] = values[places // size].byteswap()
-        self._order = '<'
+        self.order = '<'
 
     def clear(self, gaps: Iterable[tuple[int, int]]) -> None:
         """Write zeros over gaps within the buffer, given as pairs of start and end."""

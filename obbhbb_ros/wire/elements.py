@@ -129,13 +129,15 @@ def read_elements(data: bytes, input_type: InputType) -> tuple[EditableBuffer, E
     if input_type.is_sequence:
         count = element_count(lengths, start, input_type.element)
         start += 4
-    fields, ends = _locate(_Span(lengths, start, input_type.element, count), buffer, gaps)
+    span = _Span(lengths, start, input_type.element, count)
+    located = _locate_all_at_once(span, buffer) if count >= _MIN_AT_ONCE else None
+    fields, ends = located or _locate_one_by_one(span, gaps)
     end = int(ends[-1]) if count else start
     buffer.check_end(walk(lengths, end, input_type.tail, defaultdict(list), []))
     # Between fields and behind the last one, writers leave whatever was in memory.
     gaps.append((end, 4 * len(buffer.words)))
     buffer.clear(gaps)
-    if buffer.is_big_endian:
+    if buffer.order == '>':
         buffer.make_little_endian(
             chain(
                 number_places(lengths, HEADER, header_fields),
@@ -144,17 +146,6 @@ def read_elements(data: bytes, input_type: InputType) -> tuple[EditableBuffer, E
             )
         )
     return buffer, ElementIndex(header_words, count, fields, ends, end)
-
-
-def _locate(
-    span: _Span, buffer: EditableBuffer, gaps: Gaps
-) -> tuple[AnyPlaces, Sequence[int] | IntArray]:
-    """Find the fields of elements, and where each ends; gaps in them are added or cleared."""
-    if span.elements >= _MIN_AT_ONCE:
-        located = _locate_all_at_once(span, buffer)
-        if located is not None:
-            return located
-    return _locate_one_by_one(span, gaps)
 
 
 def _locate_one_by_one(span: _Span, gaps: Gaps) -> tuple[Places, list[int]]:
@@ -237,16 +228,11 @@ def _learned_starts(span: _Span, max_lengths: int | None = None) -> IntArray:
         except (IndexError, KeyError):
             fields: Places = defaultdict(list)
             end = span.walk(number, at, fields, [])
-            places = _length_places(span.steps, fields)[:max_lengths]
-            _learn(trees[at >> 2 & 1], lengths, at, end, places)
+            steps = (step for step in all_steps(span.steps) if step.kind is not Numbers)
+            places = sorted(place for step in steps for place in fields[step.path])
+            _learn(trees[at >> 2 & 1], lengths, at, end, places[:max_lengths])
             at = end
     return np.array(starts, np.int64)
-
-
-def _length_places(steps: Sequence[Step], fields: Places) -> list[int]:
-    """List the places of all lengths in an element, in order."""
-    kinds = (step for step in all_steps(steps) if step.kind is not Numbers)
-    return sorted(place for step in kinds for place in fields[step.path])
 
 
 def _learn(

@@ -63,10 +63,7 @@ _YOLO_DETECTION: Struct = {
         'frame_id': Text(),
     },
 }
-_POLYGON_2D: Struct = {'points': Array(8, 2)}
-_POLYGON: Struct = {'polygon': {'points': Array(4, 3)}}
 
-_BOOL: Struct = {'data': _UINT8}
 _IMAGE: Struct = {
     'header': _HEADER,
     'height': _UINT32,
@@ -98,7 +95,7 @@ _CAMERA_INFO: Struct = {
 
 HEADER = steps_of(_HEADER)
 DETECTION_2D = steps_of(_DETECTION_2D)
-BOOL = steps_of(_BOOL)
+BOOL = steps_of({'data': _UINT8})
 IMAGE = steps_of(_IMAGE)
 CAMERA_INFO = steps_of(_CAMERA_INFO)
 
@@ -155,45 +152,43 @@ class InputType:
     box: str = ''
 
 
-INPUT_TYPES: dict[str, InputType] = {
-    input_type.name: input_type
-    for input_type in (
-        InputType(
-            'vision_msgs',
-            'Detection2DArray',
-            'detections',
-            DETECTION_2D,
-            class_id=Field.CLASS,
-            score=Field.SCORE,
-            id=Field.ID,
-            box=Field.BOX,
-        ),
-        InputType(
-            'yolo_msgs',
-            'DetectionArray',
-            'detections',
-            steps_of(_YOLO_DETECTION),
-            class_id='class_name',
-            score='score',
-            id='id',
-            box='bbox.center.position.x',
-        ),
-        InputType(
-            'polygon_msgs',
-            'Polygon2DCollection',
-            'polygons',
-            steps_of(_POLYGON_2D),
-            points='points',
-            tail=steps_of({'colors': Array(4, 4)}),
-        ),
-        InputType(
-            'geometry_msgs',
-            'PolygonStamped',
-            'polygons',
-            steps_of(_POLYGON),
-            is_sequence=False,
-            points='polygon.points',
-        ),
-    )
-}
+_INPUT_TYPES = (
+    InputType(
+        'vision_msgs',
+        'Detection2DArray',
+        'detections',
+        DETECTION_2D,
+        class_id=Field.CLASS,
+        score=Field.SCORE,
+        id=Field.ID,
+        box=Field.BOX,
+    ),
+    InputType(
+        'yolo_msgs',
+        'DetectionArray',
+        'detections',
+        steps_of(_YOLO_DETECTION),
+        class_id='class_name',
+        score='score',
+        id='id',
+        box='bbox.center.position.x',
+    ),
+    InputType(
+        'polygon_msgs',
+        'Polygon2DCollection',
+        'polygons',
+        steps_of({'points': Array(8, 2)}),
+        tail=steps_of({'colors': Array(4, 4)}),
+        points='points',
+    ),
+    InputType(
+        'geometry_msgs',
+        'PolygonStamped',
+        'polygons',
+        steps_of({'polygon': {'points': Array(4, 3)}}),
+        is_sequence=False,
+        points='polygon.points',
+    ),
+)
+INPUT_TYPES = {input_type.name: input_type for input_type in _INPUT_TYPES}
 """What `obb_to_hbb` can subscribe to, by name of the message type; the first is the default."""
