@@ -46,7 +46,7 @@ class Reference:
             if not isinstance(message, Detection2DArray):
                 message = from_yolo(message)
             self._message = message
-            xywhr = np.array([box_of(each) for each in message.detections]).reshape(-1, 5)
+            xywhr = np.array([box_of(detection) for detection in message.detections]).reshape(-1, 5)
             xywhr[:, 4] *= settings.theta_scale
             self._boxes = OrientedBoxes.from_xywhr(xywhr, bow=settings.bow)
         else:
@@ -55,10 +55,13 @@ class Reference:
             self._boxes = OrientedBoxes.from_polygons(
                 [(point.x, point.y) for point in polygon.points] for polygon in polygons
             )
-        best = [best_hypothesis(each) for each in self._message.detections]
-        self._scores = np.array([np.nan if each is None else each.score for each in best])
+        best = [best_hypothesis(detection) for detection in self._message.detections]
+        self._scores = np.array([np.nan if result is None else result.score for result in best])
         self._rule_of = np.array(
-            [settings.rule_of_class.get('' if each is None else each.class_id, 0) for each in best],
+            [
+                settings.rule_of_class.get('' if result is None else result.class_id, 0)
+                for result in best
+            ],
             np.intp,
         )
         self._image_size = image_size
@@ -133,14 +136,18 @@ def without_boxes(message: Any, count: int) -> Detection2DArray:
 def from_yolo(message: Any) -> Detection2DArray:
     """Make detections of a `yolo_msgs/DetectionArray`; their header is that of the message."""
     answer = Detection2DArray(header=message.header)
-    for each in message.detections:
-        detection = Detection2D(header=message.header, id=each.id)
+    for source in message.detections:
+        detection = Detection2D(header=message.header, id=source.id)
         result = ObjectHypothesisWithPose()
-        result.hypothesis.class_id, result.hypothesis.score = each.class_name, each.score
+        result.hypothesis.class_id, result.hypothesis.score = source.class_name, source.score
         detection.results.append(result)
-        box, center = detection.bbox, each.bbox.center
+        box, center = detection.bbox, source.bbox.center
         box.center.position.x, box.center.position.y = center.position.x, center.position.y
-        box.center.theta, box.size_x, box.size_y = center.theta, each.bbox.size.x, each.bbox.size.y
+        box.center.theta, box.size_x, box.size_y = (
+            center.theta,
+            source.bbox.size.x,
+            source.bbox.size.y,
+        )
         answer.detections.append(detection)
     return answer
 
@@ -175,19 +182,19 @@ def serialized(message: Detection2DArray) -> bytes:
         )
 
     detections = []
-    for each in message.detections:
-        x, y, width, height, theta = box_of(each)
+    for detection in message.detections:
+        x, y, width, height, theta = box_of(detection)
         results = tuple(
             Hypothesis(result.hypothesis.class_id, result.hypothesis.score, pose_of(result))
-            for result in each.results
+            for result in detection.results
         )
         detections.append(
             Detection(
-                stamp_of(each.header),
-                each.header.frame_id,
+                stamp_of(detection.header),
+                detection.header.frame_id,
                 results,
                 (x, y, theta, width, height),
-                each.id,
+                detection.id,
             )
         )
     header = message.header

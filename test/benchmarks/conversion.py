@@ -64,14 +64,14 @@ def published_rule(c: Sequence[Sequence[float]]) -> tuple[float, float, float, f
 
 def corner_loop(corners: np.ndarray) -> np.ndarray:
     """Take the corners as they are, one box after the other: the least that a loop can do."""
-    return np.array([published_rule(each) for each in corners.tolist()])
+    return np.array([published_rule(box) for box in corners.tolist()])
 
 
 def polygon_loop(corners: np.ndarray) -> np.ndarray:
     """Go from polygon to polygon by its minimum rotated rectangle, as Algorithm 1 is stated."""
     boxes = []
-    for each in corners.tolist():
-        rectangle = shapely.Polygon(each).minimum_rotated_rectangle
+    for box in corners.tolist():
+        rectangle = shapely.Polygon(box).minimum_rotated_rectangle
         boxes.append(published_rule(rectangle.exterior.coords[:4]))
     return np.array(boxes)
 
@@ -81,25 +81,25 @@ def peers(corners: np.ndarray) -> dict[str, Callable[[], object]]:
     boxes = OrientedBoxes.from_corners(corners)
     rows = boxes.xywhr
     polygons = shapely.polygons(corners)
-    found: dict[str, Callable[[], object]] = {
+    functions: dict[str, Callable[[], object]] = {
         name: lambda name=name: convert(OrientedBoxes.from_corners(corners), method=name, q=2.6)
         for name in METHODS
     }
-    found['superellipse, q = 3'] = lambda: convert(OrientedBoxes.from_corners(corners), q=3.0)
-    found['superellipse from xywhr'] = lambda: convert(OrientedBoxes.from_xywhr(rows), q=2.6)
-    found['memory copy'] = corners.copy
-    found['shapely.bounds, prebuilt'] = lambda: shapely.bounds(polygons)
-    found['shapely.bounds'] = lambda: shapely.bounds(shapely.polygons(corners))
+    functions['superellipse, q = 3'] = lambda: convert(OrientedBoxes.from_corners(corners), q=3.0)
+    functions['superellipse from xywhr'] = lambda: convert(OrientedBoxes.from_xywhr(rows), q=2.6)
+    functions['memory copy'] = corners.copy
+    functions['shapely.bounds, prebuilt'] = lambda: shapely.bounds(polygons)
+    functions['shapely.bounds'] = lambda: shapely.bounds(shapely.polygons(corners))
     if len(corners) <= LOOP_AT_MOST:
-        found['published rule, loop over polygons'] = lambda: polygon_loop(corners)
-        found['published rule, loop over corners'] = lambda: corner_loop(corners)
+        functions['published rule, loop over polygons'] = lambda: polygon_loop(corners)
+        functions['published rule, loop over corners'] = lambda: corner_loop(corners)
     try:
         from supervision.detection.utils.boxes import xyxyxyxy_to_xyxy
     except ImportError:
         print('supervision is not installed (extra `bench`): left out')
     else:
-        found['supervision min/max'] = lambda: xyxyxyxy_to_xyxy(corners)
-    return found
+        functions['supervision min/max'] = lambda: xyxyxyxy_to_xyxy(corners)
+    return functions
 
 
 def measure(functions: dict[str, Callable[[], object]]) -> dict[str, float]:

@@ -35,8 +35,8 @@ def measure(asked: Sequence[Asked], data: bytes, rate: float, seconds: float) ->
     spent = [(b - a) / count * 1e3 for a, b in zip(before, after, strict=True)]
     resident = [node.process.resident_megabytes() for node in asked]
     return [
-        [node.name, f'{each:.2f}', f'{each / spent[0]:.2f}', f'{megabytes:.0f}']
-        for node, each, megabytes in zip(asked, spent, resident, strict=True)
+        [node.name, f'{milliseconds:.2f}', f'{milliseconds / spent[0]:.2f}', f'{megabytes:.0f}']
+        for node, milliseconds, megabytes in zip(asked, spent, resident, strict=True)
     ]
 
 

@@ -69,18 +69,20 @@ def test_real_ships_as_yolo_detections_become_their_boxes(yolo_node: Converter) 
     for labels in read_labels(DATA / 'real_ships.csv'):
         message = yolo_message(labels, Header(frame_id='camera'))
         answer = yolo_node.convert(message)
-        given = message.detections
-        assert [each.id for each in answer.detections] == [each.id for each in given]
-        assert [each.results[0].hypothesis.class_id for each in answer.detections] == [
-            each.class_name for each in given
+        sent = message.detections
+        assert [detection.id for detection in answer.detections] == [
+            detection.id for detection in sent
         ]
-        assert [each.results[0].hypothesis.score for each in answer.detections] == [
-            each.score for each in given
+        assert [detection.results[0].hypothesis.class_id for detection in answer.detections] == [
+            detection.class_name for detection in sent
         ]
-        assert all(each.header == message.header for each in answer.detections)
+        assert [detection.results[0].hypothesis.score for detection in answer.detections] == [
+            detection.score for detection in sent
+        ]
+        assert all(detection.header == message.header for detection in answer.detections)
         rows = [
             (box.center.position.x, box.center.position.y, box.size.x, box.size.y, box.center.theta)
-            for box in (each.bbox for each in given)
+            for box in (detection.bbox for detection in sent)
         ]
         np.testing.assert_array_equal(rows_of(answer), axis_aligned(rows))
 
@@ -107,17 +109,17 @@ def test_no_box_of_unknown_bow_gets_one_on_the_way_not_even_a_square() -> None:
     sent = [[50, 50, 10, 10, 0.3], [50, 50, 40, 10, 0.3], [50, 50, 40, 10, 2.0], [9, 9, 5, 5, 1.0]]
     # From a short side on, which may be the bow end.
     corners = np.roll(OrientedBoxes.from_xywhr(sent).corners, -1, axis=1)
-    known = [False, False, True, True]
+    bow_known = [False, False, True, True]
     ships = [
         Box(tuple(row), 'ship', bow=bow)
-        for row, bow in zip(corners.reshape(-1, 8).tolist(), known, strict=True)
+        for row, bow in zip(corners.reshape(-1, 8).tolist(), bow_known, strict=True)
     ]
     labels = assemble('harbour', ships, None, Path('harbour.txt'))
     boxes = labels.boxes('labels')
     message = detections_message(labels, Header(), 'labels')
     received = OrientedBoxes.from_xywhr(rows_of(message), bow=True)
-    np.testing.assert_array_equal(received.bow, known)
-    np.testing.assert_array_equal(boxes.bow, known)
+    np.testing.assert_array_equal(received.bow, bow_known)
+    np.testing.assert_array_equal(boxes.bow, bow_known)
     np.testing.assert_allclose(convert(received), convert(boxes), rtol=1e-8)
 
 
@@ -146,9 +148,9 @@ def test_polygons_are_known_by_their_place(polygons_node: Converter) -> None:
     message = collection(SHAPES)
     answer = polygons_node.convert(message)
     assert answer.header == message.header
-    assert [each.id for each in answer.detections] == [str(i) for i in range(len(SHAPES))]
-    assert all(each.header == message.header for each in answer.detections)
-    assert not any(each.results for each in answer.detections)
+    assert [detection.id for detection in answer.detections] == [str(i) for i in range(len(SHAPES))]
+    assert all(detection.header == message.header for detection in answer.detections)
+    assert not any(detection.results for detection in answer.detections)
 
 
 def test_quads_give_what_detections_give(polygons_node: Converter) -> None:
@@ -176,7 +178,9 @@ def test_a_stamped_polygon_becomes_one_box(polygon_node: Converter) -> None:
     message = polygon(TRIANGLE)
     answer = polygon_node.convert(message)
     assert answer.header == message.header
-    assert [(each.id, each.header) for each in answer.detections] == [('0', message.header)]
+    assert [(detection.id, detection.header) for detection in answer.detections] == [
+        ('0', message.header)
+    ]
 
 
 @pytest.mark.parametrize('points', SHAPES)

@@ -55,10 +55,10 @@ COUNTED = {reason: REASONS.count(reason) for reason in set(REASONS)}
 
 def test_dropped_detections_leave_the_others_in_order(node: Converter) -> None:
     message = detections(MIXED)
-    for i, each in enumerate(message.detections):
-        each.id = str(i)
+    for i, detection in enumerate(message.detections):
+        detection.id = str(i)
     answer = node.convert(message)
-    assert [each.id for each in answer.detections] == [str(i) for i in range(1, 26, 2)]
+    assert [detection.id for detection in answer.detections] == [str(i) for i in range(1, 26, 2)]
     # Converted among the bad ones, as the node does: NumPy 1.26 rounds the cosine of a few angles
     # in another way than that of many.
     np.testing.assert_array_equal(rows_of(answer), axis_aligned(MIXED)[1::2])
@@ -127,7 +127,7 @@ def test_the_warning_names_topic_stamp_and_index(start: Callable[..., Converter]
     line = node.wait_for_log(*texts)
     assert '[WARN]' in line
     node.wait_for(
-        lambda: (each for each in log if all(text in each.msg for text in texts)),
+        lambda: (line for line in log if all(text in line.msg for text in texts)),
         'the warning on /rosout',
     )
 
@@ -141,7 +141,7 @@ def test_warnings_come_at_a_rate_that_can_be_read(start: Callable[..., Converter
         node.convert(bad)
     # It need not be the next one that tells.
     node.wait(
-        lambda: any('negative_size' in each.status[0].message for each in node.reports()),
+        lambda: any('negative_size' in report.status[0].message for report in node.reports()),
         'the warning',
     )
     # One in five seconds.
@@ -211,19 +211,21 @@ def polygons(polygons_node: Converter) -> Converter:
 def test_polygons_without_area_are_dropped_and_counted(polygons: Converter) -> None:
     before = polygons.counts()
     answer = polygons.convert(collection([SQUARE, *(bad for bad, _ in POINTLESS), SQUARE]))
-    assert [each.id for each in answer.detections] == ['0', str(1 + len(POINTLESS))]
+    assert [detection.id for detection in answer.detections] == ['0', str(1 + len(POINTLESS))]
     expected = axis_aligned(OrientedBoxes.from_polygons([SQUARE, SQUARE]))
     np.testing.assert_array_equal(rows_of(answer), expected)
     counts = polygons.counts().since(before, 'detections_dropped.')
     reasons = [reason for _, reason in POINTLESS]
-    assert counts == {f'detections_dropped.{each}': reasons.count(each) for each in set(reasons)}
+    assert counts == {
+        f'detections_dropped.{reason}': reasons.count(reason) for reason in set(reasons)
+    }
 
 
 def test_polygons_without_area_are_kept_as_no_numbers(polygons: Converter) -> None:
     polygons.set({'invalid_policy': 'keep'})
     answer = polygons.convert(collection([SQUARE, *(bad for bad, _ in POINTLESS)]))
     rows = rows_of(answer)
-    assert [each.id for each in answer.detections] == [str(i) for i in range(len(rows))]
+    assert [detection.id for detection in answer.detections] == [str(i) for i in range(len(rows))]
     np.testing.assert_array_equal(rows[:1], axis_aligned(OrientedBoxes.from_polygons([SQUARE])))
     assert np.isnan(rows[1:, :4]).all()
     assert len(rows) == 1 + len(POINTLESS)
@@ -286,9 +288,9 @@ def test_bytes_that_are_no_message_are_counted_and_reported(node: Converter) -> 
     all_of_them = {'messages_unreadable': len(UNREADABLE)}
     report = node.wait_for(
         lambda: (
-            each.status[0]
-            for each in node.reports()
-            if Counts(each.status[0]).since(before, 'messages_unreadable') == all_of_them
+            report.status[0]
+            for report in node.reports()
+            if Counts(report.status[0]).since(before, 'messages_unreadable') == all_of_them
         ),
         'a report of all of them',
     )

@@ -53,8 +53,8 @@ def test_boxes_of_a_network_are_those_of_the_image(fit, image) -> None:
     # Only boxes along the axes are boxes still when the image is stretched unequally.
     turned = SHIPS if fit == 'letterbox' else SHIPS * (1, 1, 1, 1, 0) + (0, 0, 0, 0, np.pi / 2)
     ships = OrientedBoxes.from_xywhr(turned)
-    given = OrientedBoxes.from_corners(to_network(ships.corners, image, (640, 640), fit))
-    rows = given.xywhr
+    detected = OrientedBoxes.from_corners(to_network(ships.corners, image, (640, 640), fit))
+    rows = detected.xywhr
     detections = tuple(
         Detection(bbox=(x, y, theta, length, width), id=str(i))
         for i, (x, y, length, width, theta) in enumerate(rows)
@@ -63,9 +63,9 @@ def test_boxes_of_a_network_are_those_of_the_image(fit, image) -> None:
     data = encode(Message(detections=detections))
     settings = OBB_TO_HBB.settings(values)
     batch = Batch(data, INPUT_TYPES['Detection2DArray'], settings, image)
-    found = Detections(batch.boxes_message()).xywhr()
+    received = Detections(batch.boxes_message()).xywhr()
     expected = np.hstack((ships.center, 2.0 * half_extents(ships, settings.rules)))
-    np.testing.assert_allclose(found[:, :4], expected, atol=1e-6)
+    np.testing.assert_allclose(received[:, :4], expected, atol=1e-6)
 
 
 @pytest.mark.parametrize('fit', ['stretch', 'letterbox'])
@@ -84,9 +84,9 @@ def test_polygons_of_a_network_are_those_of_the_image(fit) -> None:
     settings = OBB_TO_HBB.settings(values)
     data = bytes([0, 1, 0, 0]) + bytes(writer.data)
     batch = Batch(data, INPUT_TYPES['Polygon2DCollection'], settings, image)
-    found = Detections(batch.boxes_message()).xywhr()
+    received = Detections(batch.boxes_message()).xywhr()
     expected = np.hstack((ships.center, 2.0 * half_extents(ships, settings.rules)))
-    np.testing.assert_allclose(found[:, :4], expected, atol=1e-6)
+    np.testing.assert_allclose(received[:, :4], expected, atol=1e-6)
 
 
 @pytest.mark.parametrize('values', [{}, {'input_width': 640}, {'input_height': 640}])
@@ -125,10 +125,10 @@ def test_clipped_boxes_end_at_the_border(x, y, theta) -> None:
     (before,) = Detections(plain.boxes_message()).xywhr()
     low = np.maximum(before[:2] - before[2:4] / 2, 0)
     high = np.minimum(before[:2] + before[2:4] / 2, size)
-    found = Detections(clipped.boxes_message()).xywhr()
+    received = Detections(clipped.boxes_message()).xywhr()
     if (low < high).all():
-        np.testing.assert_allclose(found[0, :4], [*(low + high) / 2, *(high - low)], atol=1e-9)
+        np.testing.assert_allclose(received[0, :4], [*(low + high) / 2, *(high - low)], atol=1e-9)
     else:
-        assert len(found) == 0
+        assert len(received) == 0
         assert clipped.counts['detections_dropped.outside_image'] == 1
         assert 'outside_image' in clipped.complaint

@@ -48,10 +48,10 @@ def encoded_boxes(detections):
 @ORDERS
 @given(message=MESSAGES, padding=PADDING, trailing=st.integers(0, 6))
 def test_boxes_are_read(order, message, padding, trailing) -> None:
-    found = Detections(encode(message, order, padding) + bytes(trailing))
+    detections = Detections(encode(message, order, padding) + bytes(trailing))
     expected = encoded_boxes(message.detections)
-    np.testing.assert_array_equal(found.xywhr(), np.array(expected).reshape(-1, 5))
-    assert found.stamp == message.stamp
+    np.testing.assert_array_equal(detections.xywhr(), np.array(expected).reshape(-1, 5))
+    assert detections.stamp == message.stamp
 
 
 @ORDERS
@@ -93,8 +93,8 @@ def test_selecting_shortens_and_reorders(order, message, padding, data) -> None:
 @ORDERS
 @given(message=MESSAGES, padding=PADDING, data=st.data())
 def test_joining_keeps_the_hypotheses_and_ids_of_all(order, message, padding, data) -> None:
-    found = message.detections
-    shuffled = data.draw(st.permutations(range(len(found))))
+    detections = message.detections
+    shuffled = data.draw(st.permutations(range(len(detections))))
     sizes = data.draw(st.lists(st.integers(1, 4), max_size=6))
     bounds = [0, *np.cumsum(sizes).tolist()]
     groups = [group for i, j in pairwise(bounds) if (group := shuffled[i:j])]
@@ -103,9 +103,9 @@ def test_joining_keeps_the_hypotheses_and_ids_of_all(order, message, padding, da
     expected = tuple(
         with_box(
             replace(
-                found[members[0]],
-                results=tuple(result for i in members for result in found[i].results),
-                id='|'.join(found[i].id for i in members),
+                detections[members[0]],
+                results=tuple(result for i in members for result in detections[i].results),
+                id='|'.join(detections[i].id for i in members),
             ),
             box,
         )
@@ -125,8 +125,8 @@ def test_what_is_written_is_little_endian_with_zeros_between_fields(
 @ORDERS
 @given(message=MESSAGES, padding=PADDING)
 def test_the_best_hypothesis_is_the_first_of_the_highest_score(order, message, padding) -> None:
-    found = Detections(encode(message, order, padding))
-    class_ids, scores = found.class_ids(), found.scores()
+    detections = Detections(encode(message, order, padding))
+    class_ids, scores = detections.class_ids(), detections.scores()
     for detection, class_id, score in zip(message.detections, class_ids, scores, strict=True):
         best = None
         for result in detection.results:
@@ -150,10 +150,10 @@ def test_long_messages_of_few_kinds_are_read_whole(count, kinds) -> None:
         for i in range(count)
     )
     message = Message(detections=detections)
-    found = Detections(encode(message))
-    np.testing.assert_array_equal(found.xywhr()[:, 0], np.arange(count))
+    read = Detections(encode(message))
+    np.testing.assert_array_equal(read.xywhr()[:, 0], np.arange(count))
     rows = boxes(count)
-    assert found.rewrite(rows) == encode(
+    assert read.rewrite(rows) == encode(
         replace(message, detections=tuple(map(with_box, detections, rows)))
     )
 
@@ -250,12 +250,12 @@ def test_damaged_bytes_raise_the_documented_error_or_are_read(message, data) -> 
         place = data.draw(st.integers(0, len(damaged) - 1))
         damaged[place] = data.draw(st.sampled_from([0, 1, 2, 0x7F, 0x80, 0xFF]))
     try:
-        found = Detections(bytes(damaged))
+        detections = Detections(bytes(damaged))
     except WireError:
         return
     # What can be read can be written, and is read again with the boxes that were written.
-    rows = boxes(len(found))
-    again = Detections(found.rewrite(rows)).xywhr()
+    rows = boxes(len(detections))
+    again = Detections(detections.rewrite(rows)).xywhr()
     np.testing.assert_array_equal(again[:, :4], rows)
     np.testing.assert_array_equal(again[:, 4], 0.0)
 
@@ -317,13 +317,13 @@ def test_more_behind_the_message_than_padding_is_refused() -> None:
 def test_the_bytes_given_are_never_changed() -> None:
     data = bytearray(encode(Message(detections=(Detection(),)), padding=0xA5))
     before = bytes(data)
-    found = Detections(bytes(data))
-    found.rewrite(boxes(1))
+    detections = Detections(bytes(data))
+    detections.rewrite(boxes(1))
     assert bytes(data) == before
 
 
 def test_a_class_id_that_is_no_utf_8_is_escaped() -> None:
     message = Message(detections=(Detection(results=(Hypothesis(class_id='zzzz'),)),))
     data = encode(message).replace(b'zzzz', b'\xff\xfe\xfdz')
-    found = Detections(data)
-    assert found.class_ids() == ['\\xff\\xfe\\xfdz']
+    detections = Detections(data)
+    assert detections.class_ids() == ['\\xff\\xfe\\xfdz']

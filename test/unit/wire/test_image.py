@@ -32,11 +32,16 @@ def image(order='<', padding=0, data=bytes(range(60)), frame_id='camera') -> byt
 @pytest.mark.parametrize('trailing', range(7))
 @pytest.mark.parametrize('frame_id', ['', 'a', 'ab', 'abc', 'Größe'])
 def test_an_image_is_read(order, padding, trailing, frame_id) -> None:
-    found = read_image(image(order, padding, frame_id=frame_id) + bytes(trailing))
-    assert found.stamp == (-3, 7)
-    assert (found.frame_id, found.encoding) == (frame_id, 'rgb8')
-    assert (found.width, found.height, found.step, found.is_bigendian) == (5, 4, 15, True)
-    assert found.data == bytes(range(60))
+    received = read_image(image(order, padding, frame_id=frame_id) + bytes(trailing))
+    assert received.stamp == (-3, 7)
+    assert (received.frame_id, received.encoding) == (frame_id, 'rgb8')
+    assert (received.width, received.height, received.step, received.is_bigendian) == (
+        5,
+        4,
+        15,
+        True,
+    )
+    assert received.data == bytes(range(60))
 
 
 def test_the_pixels_of_an_image_are_not_copied() -> None:
@@ -60,10 +65,10 @@ def test_a_damaged_image_raises_the_documented_error_or_is_read(data) -> None:
         place = data.draw(st.integers(0, len(damaged) - 1))
         damaged[place] = data.draw(st.sampled_from([0, 1, 2, 0x7F, 0x80, 0xFF]))
     try:
-        found = read_image(bytes(damaged))
+        received = read_image(bytes(damaged))
     except WireError:
         return
-    assert len(found.data) <= len(damaged)
+    assert len(received.data) <= len(damaged)
 
 
 def test_more_behind_an_image_than_padding_is_refused() -> None:

@@ -35,13 +35,13 @@ def plan_of(*detections, order='<'):
 def best_of(results):
     """The best hypothesis, the first of equals; NaN is less than any number."""
     best = None
-    for each in results:
+    for hypothesis in results:
         if (
             best is None
-            or each.score > best.score
-            or (np.isnan(best.score) and not np.isnan(each.score))
+            or hypothesis.score > best.score
+            or (np.isnan(best.score) and not np.isnan(hypothesis.score))
         ):
-            best = each
+            best = hypothesis
     return best
 
 
@@ -69,9 +69,9 @@ def test_class_score_and_ids_are_those_of_the_message(order, message) -> None:
     assert len(plan) == len(message.detections)
     for row, detection in enumerate(message.detections):
         best = best_of(detection.results)
-        known = best is not None and np.isfinite(best.score)
+        has_score = best is not None and np.isfinite(best.score)
         assert plan.class_ids[row] == (best.class_id if best else '')
-        assert plan.scores[row] == (best.score if known else None)
+        assert plan.scores[row] == (best.score if has_score else None)
         assert '|'.join(plan.detection_ids()[row]) == detection.id
 
 
@@ -118,7 +118,7 @@ def test_ranked_detections_have_values_for_scores_and_other_boxes(
     rows = np.array(
         data.draw(
             st.permutations(range(count)).flatmap(
-                lambda found: st.integers(0, count).map(lambda most: found[:most])
+                lambda order: st.integers(0, count).map(lambda size: order[:size])
             )
         ),
         np.int64,
@@ -131,7 +131,8 @@ def test_ranked_detections_have_values_for_scores_and_other_boxes(
         detection = message.detections[row]
         best = best_of(detection.results)
         results = tuple(
-            replace(each, score=values[i] if each is best else NAN) for each in detection.results
+            replace(hypothesis, score=values[i] if hypothesis is best else NAN)
+            for hypothesis in detection.results
         )
         x, y, length, width, theta = boxes[:, i].tolist()
         expected.append(replace(detection, results=results, bbox=(x, y, theta, length, width)))
@@ -169,11 +170,11 @@ def test_ranked_detections_have_values_for_scores_and_other_boxes(
     ],
 )
 def test_sources_are_those_of_a_plan_if_their_ids_are(regions, sources, belong) -> None:
-    plan = WirePlan(encode(Message(detections=tuple(Detection(id=each) for each in regions))))
-    _, found = read_sources(
-        encode(Message(detections=tuple(Detection(id=each) for each in sources)))
+    plan = WirePlan(encode(Message(detections=tuple(Detection(id=name) for name in regions))))
+    _, received = read_sources(
+        encode(Message(detections=tuple(Detection(id=name) for name in sources)))
     )
-    assert plan.has_sources(found) == belong
+    assert plan.has_sources(received) == belong
 
 
 @pytest.mark.parametrize('score', [NAN, INF, -INF])
