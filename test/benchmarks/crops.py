@@ -48,7 +48,7 @@ PLANS = (
 
 
 def milliseconds(work: Callable[[], Any], rounds: int) -> tuple[float, float]:
-    """Give median and minimum of how long something takes."""
+    """Return the median and the minimum of how long something takes."""
     times = []
     for _ in range(rounds):
         started = time.perf_counter()
@@ -71,9 +71,9 @@ def planning() -> str:
     for name, count, side, settings in PLANS:
         xyxy, scores = boxes(count, side)
         plan = partial(plan_crops, xyxy, scores, (side, side), settings)
-        median, least = milliseconds(plan, 200)
-        rows.append((name, f'{median:.2f}', f'{least:.2f}', str(len(plan().regions))))
-    return text_table(('plan', 'median [ms]', 'least [ms]', 'regions'), rows)
+        median, minimum = milliseconds(plan, 200)
+        rows.append((name, f'{median:.2f}', f'{minimum:.2f}', str(len(plan().regions))))
+    return text_table(('plan', 'median [ms]', 'minimum [ms]', 'regions'), rows)
 
 
 def cutting() -> str:
@@ -103,7 +103,7 @@ def cutting() -> str:
         rows.append((f'encode, {codec.codec}', *map('{:.0f}'.format, times)))
     megapixels = sum(chip.size for chip in chips) / 1e6
     head = f'100 chips, {megapixels:.2f} Mpx of {SIDE} x {SIDE} mono16'
-    return text_table((head, 'median [ms]', 'least [ms]'), rows)
+    return text_table((head, 'median [ms]', 'minimum [ms]'), rows)
 
 
 def main() -> None:

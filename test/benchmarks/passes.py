@@ -249,8 +249,9 @@ class Spooled:
         ticket = self._writer.plan(len(planned))
 
         def record(chip: EncodedChip) -> NewChip:
-            known = planned[chip.index].record
-            return replace(known, value=self._rank(known.value, self._stored + chip.index))
+            planned_record = planned[chip.index].record
+            value = self._rank(planned_record.value, self._stored + chip.index)
+            return replace(planned_record, value=value)
 
         frame = run_frame(planned, record=record)
         self._stored += len(planned)
@@ -332,8 +333,8 @@ class Outcome:
         """Fill all contacts by rank, with chips not planned yet as well, and a part of the last."""
         order = np.argsort(-rank[self.in_time])
         values, costs = (
-            np.append(0.0, np.cumsum(each[self.in_time][order]))
-            for each in (self.values, self.costs)
+            np.append(0.0, np.cumsum(column[self.in_time][order]))
+            for column in (self.values, self.costs)
         )
         return float(np.interp(self.day.capacity, costs, values))
 
@@ -355,7 +356,7 @@ def simulate(day: Day) -> Outcome:
             contact = any(number in window for window in day.windows)
             frame = scene.frame(time, random.uniform(size=scene.ships))
             in_time = number < day.windows[-1].stop
-            planned += [(each.record.value, cost(each.record), in_time) for each in frame]
+            planned += [(chip.record.value, cost(chip.record), in_time) for chip in frame]
             for strategy in strategies:
                 strategy.take(frame, contact)
                 strategy.run(time + day.period, contact)
@@ -366,7 +367,7 @@ def simulate(day: Day) -> Outcome:
             costs,
             before.astype(bool),
             {strategy.name: strategy.delivered for strategy in strategies},
-            {each.name: each.status() for each in spooled},
+            {strategy.name: strategy.status() for strategy in spooled},
         )
 
 
@@ -393,14 +394,14 @@ def table(outcome: Outcome) -> str:
     chips = str(len(outcome.values))
     rows = []
     for name, delivered in outcome.delivered.items():
-        value = sum(each.value for each in delivered)
-        age = float(np.median([each.age for each in delivered])) if delivered else float('nan')
+        value = sum(chip.value for chip in delivered)
+        age = float(np.median([chip.age for chip in delivered])) if delivered else float('nan')
         rows.append(
             (
                 name,
                 chips,
                 str(len(delivered)),
-                f'{sum(each.bytes for each in delivered) / 1e6:.1f}',
+                f'{sum(chip.bytes for chip in delivered) / 1e6:.1f}',
                 f'{value:.0f}',
                 f'{value / planned:.1%}',
                 f'{value / best:.0%}',
@@ -433,8 +434,8 @@ def draw(outcome: Outcome, path: Path) -> None:
     day = outcome.day
     curves = {
         name: (
-            np.array([each.at for each in delivered]) / 3600.0,
-            np.array([each.value for each in delivered]),
+            np.array([chip.at for chip in delivered]) / 3600.0,
+            np.array([chip.value for chip in delivered]),
         )
         for name, delivered in outcome.delivered.items()
     }

@@ -166,13 +166,13 @@ SIDE = st.integers(-50, 100)
 @given(st.sampled_from(['mono8', 'bayer_rggb16']), SIDE, SIDE, SIDE, SIDE)
 def test_a_region_is_placed_inside_the_image(encoding, x0, y0, x1, y1) -> None:
     layout = PIXEL_FORMATS[encoding]
-    found = placed((x0, y0, x1, y1), (WIDTH, HEIGHT), layout)
+    place = placed((x0, y0, x1, y1), (WIDTH, HEIGHT), layout)
     overlap = range(max(x0, 0), min(x1, WIDTH)), range(max(y0, 0), min(y1, HEIGHT))
     if not all(overlap):
         # Growing to whole cells may reach into the image, but never where nothing was asked for.
-        assert found is None or layout.bayer
+        assert place is None or layout.bayer
         return
-    left, top, right, bottom = found
+    left, top, right, bottom = place
     assert left in {overlap[0].start, overlap[0].start - 1}
     assert top in {overlap[1].start, overlap[1].start - 1}
     assert right in {overlap[0].stop, overlap[0].stop + 1}

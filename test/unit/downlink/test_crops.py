@@ -66,8 +66,8 @@ def plan(xyxy, settings=NO_LIMITS, scores=None, image=IMAGE):
 
 @given(frames(), settings())
 def test_every_region_lies_in_the_image_and_respects_the_sizes(frame, limits) -> None:
-    found = plan_crops(*frame, IMAGE, limits)
-    low, high = found.regions[:, :2], found.regions[:, 2:]
+    crop_plan = plan_crops(*frame, IMAGE, limits)
+    low, high = crop_plan.regions[:, :2], crop_plan.regions[:, 2:]
     assert (low >= 0).all()
     assert (high <= IMAGE).all()
     sides = high - low
@@ -80,25 +80,25 @@ def test_every_region_lies_in_the_image_and_respects_the_sizes(frame, limits) ->
 
 @given(frames(), settings())
 def test_every_box_is_planned_or_left_out_for_a_reason(frame, limits) -> None:
-    found = plan_crops(*frame, IMAGE, limits)
-    assert len(found.sources) + sum(found.left_out.values()) == len(frame[0])
-    assert len(set(found.sources.tolist())) == len(found.sources)
-    assert [row for group in found.groups() for row in group] == found.sources.tolist()
-    assert len(found.groups()) == len(found.regions)
-    assert all(found.groups())
+    crop_plan = plan_crops(*frame, IMAGE, limits)
+    assert len(crop_plan.sources) + sum(crop_plan.left_out.values()) == len(frame[0])
+    assert len(set(crop_plan.sources.tolist())) == len(crop_plan.sources)
+    assert [row for group in crop_plan.groups() for row in group] == crop_plan.sources.tolist()
+    assert len(crop_plan.groups()) == len(crop_plan.regions)
+    assert all(crop_plan.groups())
 
 
 @given(frames(), settings())
 def test_the_most_valuable_come_first_and_stay_under_the_limits(frame, limits) -> None:
     xyxy, scores = frame
-    found = plan_crops(xyxy, scores, IMAGE, limits)
-    values = [values_of(scores, group) for group in found.groups()]
+    crop_plan = plan_crops(xyxy, scores, IMAGE, limits)
+    values = [values_of(scores, group) for group in crop_plan.groups()]
     assert (np.diff([sum(value) for value in values]) <= 1e-9).all()
     assert all((np.diff(value) <= 0).all() for value in values)
     if limits.max_count:
-        assert len(found.regions) <= limits.max_count
+        assert len(crop_plan.regions) <= limits.max_count
     if limits.max_pixels:
-        assert found.pixels <= limits.max_pixels
+        assert crop_plan.pixels <= limits.max_pixels
 
 
 def values_of(scores, rows):
@@ -161,15 +161,15 @@ def test_crowds_are_merged_as_far_as_it_pays(count, side, limit) -> None:
     random = np.random.default_rng(count + side)
     center, reach = random.uniform(0, side, (count, 2)), random.uniform(5, 50, (count, 2))
     xyxy = np.clip(np.hstack((center - reach, center + reach)), 0, side)
-    found = plan(xyxy, CropSettings(merge_max_size=limit), image=(side, side))
-    regions = found.regions
+    crop_plan = plan(xyxy, CropSettings(merge_max_size=limit), image=(side, side))
+    regions = crop_plan.regions
     low = np.minimum(regions[:, None, :2], regions[:, :2])
     high = np.maximum(regions[:, None, 2:], regions[:, 2:])
     union = np.prod(high - low, axis=2)
     area = pixels(regions)
     saves = (union < area[:, None] + area) & (high - low <= limit).all(axis=2)
     assert np.flatnonzero(saves.sum(axis=1) > 1).size == 0
-    assert sorted(found.sources.tolist()) == list(range(count))
+    assert sorted(crop_plan.sources.tolist()) == list(range(count))
 
 
 def pixels(regions):
@@ -181,10 +181,10 @@ def test_without_a_size_limit_a_region_holds_all_of_its_box_that_is_in_the_image
     frame, padding, pixels
 ) -> None:
     xyxy, scores = frame
-    found = plan_crops(xyxy, scores, IMAGE, CropSettings(padding=padding, padding_px=pixels))
-    visible = np.clip(xyxy[found.sources], 0, np.tile(IMAGE, 2))
-    assert (found.regions[:, :2] <= visible[:, :2]).all()
-    assert (found.regions[:, 2:] >= visible[:, 2:]).all()
+    crop_plan = plan_crops(xyxy, scores, IMAGE, CropSettings(padding=padding, padding_px=pixels))
+    visible = np.clip(xyxy[crop_plan.sources], 0, np.tile(IMAGE, 2))
+    assert (crop_plan.regions[:, :2] <= visible[:, :2]).all()
+    assert (crop_plan.regions[:, 2:] >= visible[:, 2:]).all()
 
 
 @pytest.mark.parametrize(
@@ -209,8 +209,8 @@ def test_padding_clipping_rounding_and_sizes(limits, region) -> None:
 
 
 def test_a_region_grown_at_the_edge_is_moved_inside() -> None:
-    found = plan([[630.0, 2.0, 639.0, 8.0]], CropSettings(min_size=64))
-    assert found.regions.tolist() == [[576, 0, 640, 64]]
+    crop_plan = plan([[630.0, 2.0, 639.0, 8.0]], CropSettings(min_size=64))
+    assert crop_plan.regions.tolist() == [[576, 0, 640, 64]]
 
 
 @pytest.mark.parametrize(
@@ -224,16 +224,16 @@ def test_a_region_grown_at_the_edge_is_moved_inside() -> None:
     ],
 )
 def test_what_has_no_pixel_in_the_image_is_left_out_even_if_its_padding_has(box, reason) -> None:
-    found = plan([box, [1, 1, 5, 5]], CropSettings(padding_px=100.0))
-    assert found.sources.tolist() == [1]
-    assert found.left_out == {reason: 1}
+    crop_plan = plan([box, [1, 1, 5, 5]], CropSettings(padding_px=100.0))
+    assert crop_plan.sources.tolist() == [1]
+    assert crop_plan.left_out == {reason: 1}
 
 
 def test_equal_scores_go_from_left_to_right_and_nan_is_last() -> None:
     boxes = [[i, 0, i + 5, 5] for i in range(5)]
-    found = plan(boxes, CropSettings(max_count=4), scores=[0.5, np.nan, 0.9, 0.5, 0.9])
-    assert found.sources.tolist() == [2, 4, 0, 3]
-    assert found.left_out == {LeftOut.MAX_COUNT: 1}
+    crop_plan = plan(boxes, CropSettings(max_count=4), scores=[0.5, np.nan, 0.9, 0.5, 0.9])
+    assert crop_plan.sources.tolist() == [2, 4, 0, 3]
+    assert crop_plan.left_out == {LeftOut.MAX_COUNT: 1}
 
 
 def test_the_weight_of_a_box_scales_its_value() -> None:
@@ -244,10 +244,10 @@ def test_the_weight_of_a_box_scales_its_value() -> None:
 
 def test_overlapping_boxes_become_one_region_worth_all_of_them() -> None:
     boxes = [[10, 10, 30, 30], [12, 10, 32, 30], [100, 100, 120, 120], [16, 16, 20, 20]]
-    found = plan(boxes, CropSettings(merge_max_size=1000), scores=[0.4, 0.5, 0.8, 0.3])
-    assert found.regions.tolist() == [[10, 10, 32, 30], [100, 100, 120, 120]]
-    assert found.groups() == [[1, 0, 3], [2]]
-    assert found.merged
+    crop_plan = plan(boxes, CropSettings(merge_max_size=1000), scores=[0.4, 0.5, 0.8, 0.3])
+    assert crop_plan.regions.tolist() == [[10, 10, 32, 30], [100, 100, 120, 120]]
+    assert crop_plan.groups() == [[1, 0, 3], [2]]
+    assert crop_plan.merged
 
 
 @pytest.mark.parametrize(
@@ -256,29 +256,29 @@ def test_overlapping_boxes_become_one_region_worth_all_of_them() -> None:
     ids=['the union costs more', 'side by side', 'the union is too large'],
 )
 def test_regions_stay_apart(other, limit) -> None:
-    found = plan([[10, 10, 30, 30], other], CropSettings(merge_max_size=limit))
-    assert found.groups() == [[0], [1]]
-    assert not found.merged
+    crop_plan = plan([[10, 10, 30, 30], other], CropSettings(merge_max_size=limit))
+    assert crop_plan.groups() == [[0], [1]]
+    assert not crop_plan.merged
 
 
 def test_a_region_within_another_joins_it_whatever_the_limit() -> None:
-    found = plan([[10, 10, 90, 90], [20, 20, 30, 30]], CropSettings(merge_max_size=1))
-    assert found.regions.tolist() == [[10, 10, 90, 90]]
-    assert found.groups() == [[0, 1]]
+    crop_plan = plan([[10, 10, 90, 90], [20, 20, 30, 30]], CropSettings(merge_max_size=1))
+    assert crop_plan.regions.tolist() == [[10, 10, 90, 90]]
+    assert crop_plan.groups() == [[0, 1]]
 
 
 def test_the_pixels_of_a_frame_are_filled_by_value() -> None:
     boxes = [[0, 0, 10, 10], [20, 0, 50, 30], [60, 0, 65, 5], [80, 0, 85, 5]]
-    found = plan(boxes, CropSettings(max_pixels=130), scores=[0.9, 0.8, 0.7, 0.6])
-    assert found.sources.tolist() == [0, 2]
-    assert found.left_out == {LeftOut.MAX_PIXELS: 2}
-    assert found.pixels == 125
+    crop_plan = plan(boxes, CropSettings(max_pixels=130), scores=[0.9, 0.8, 0.7, 0.6])
+    assert crop_plan.sources.tolist() == [0, 2]
+    assert crop_plan.left_out == {LeftOut.MAX_PIXELS: 2}
+    assert crop_plan.pixels == 125
 
 
 def test_no_boxes_give_an_empty_plan() -> None:
-    found = plan(np.empty((0, 4)))
-    assert found.regions.shape == (0, 4)
-    assert found.left_out == {}
+    crop_plan = plan(np.empty((0, 4)))
+    assert crop_plan.regions.shape == (0, 4)
+    assert crop_plan.left_out == {}
 
 
 @pytest.mark.parametrize(

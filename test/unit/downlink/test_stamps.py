@@ -38,14 +38,14 @@ def test_a_second_has_a_thousand_million_nanoseconds(seconds) -> None:
 )
 def test_none_is_given_twice(images) -> None:
     stamps = ChipStamps()
-    given_out = []
+    taken = []
     for stamp, count in images:
-        found = take(stamps, stamp, count)
-        assert found == sorted(found)
-        assert not found or found[0] >= stamp
-        given_out += found
-    assert len(set(given_out)) == len(given_out)
-    assert all(0 <= nanoseconds < 10**9 for _, nanoseconds in given_out)
+        stamps_of_image = take(stamps, stamp, count)
+        assert stamps_of_image == sorted(stamps_of_image)
+        assert not stamps_of_image or stamps_of_image[0] >= stamp
+        taken += stamps_of_image
+    assert len(set(taken)) == len(taken)
+    assert all(0 <= nanoseconds < 10**9 for _, nanoseconds in taken)
 
 
 def test_images_whose_chips_overlap_share_no_stamp() -> None:

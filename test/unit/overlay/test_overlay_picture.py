@@ -276,4 +276,9 @@ def test_edges_go_around_each_finite_box() -> None:
     edges = lines(boxes)
     assert edges.shape == (4, 2, 2)
     assert (edges[:, 1] == np.roll(edges[:, 0], -1, axis=0)).all()
-    assert {tuple(each) for each in edges[:, 0].tolist()} == {(6, 18), (14, 18), (14, 22), (6, 22)}
+    assert {tuple(corner) for corner in edges[:, 0].tolist()} == {
+        (6, 18),
+        (14, 18),
+        (14, 22),
+        (6, 22),
+    }
