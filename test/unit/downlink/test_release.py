@@ -4,6 +4,7 @@
 import errno
 import os
 import shutil
+import time
 from dataclasses import replace
 
 import pytest
@@ -22,6 +23,7 @@ from spooled import values_in_outbox
 from obbhbb_ros.downlink.budget import BudgetSettings
 from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.console import SpoolConsole
+from obbhbb_ros.spool.feeder import FeederThread
 from obbhbb_ros.spool.feeder import ReleaseSettings
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.releaser import SpoolReleaser
@@ -743,3 +745,45 @@ def test_the_budget_that_is_left_is_known_without_contact(ground) -> None:
     ground.clock.now += 0.5
     ground.steps()
     assert ground.feeder.available == pytest.approx(50.0)
+
+
+# In a thread
+
+
+def wait_for(condition):
+    """Wait until something holds."""
+    deadline = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_thread_releases_from_contact_until_it_is_stopped(ground) -> None:
+    ground.feeder.close()
+    store(ground.writer, [0.9])
+    thread = FeederThread(ground.folder / 'spool', ground.folder / 'outbox', RELEASE)
+    wait_for(lambda: thread.feeder.stalled_by == 'no contact')
+    assert ground.status().counts == {'planned': 1}
+    thread.steer(RELEASE, is_contact=True)
+    wait_for(lambda: ground.status().counts.get('delivered') == 1)
+    thread.stop()
+    assert thread.take_troubles() == []
+    # Another one may release the spool now.
+    store(ground.writer, [0.8])
+    ground.open()
+    ground.steps()
+    assert ground.out() == [0.9, 0.8]
+
+
+def test_an_unexpected_error_does_not_end_the_thread(ground, monkeypatch) -> None:
+    ground.feeder.close()
+    store(ground.writer, [0.9])
+    with monkeypatch.context() as patch:
+        patch.setattr(Outbox, 'put', lambda *_: 1 / 0)
+        thread = FeederThread(ground.folder / 'spool', ground.folder / 'outbox', RELEASE)
+        thread.steer(RELEASE, is_contact=True)
+        wait_for(lambda: thread.feeder.stalled_by == 'ZeroDivisionError: division by zero')
+    wait_for(lambda: ground.status().counts.get('delivered') == 1)
+    thread.stop()
+    assert set(thread.take_troubles()) == {'ZeroDivisionError: division by zero'}
+    assert thread.take_troubles() == []
