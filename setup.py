@@ -2,8 +2,10 @@
 """
 Build script, for colcon (ament_python) and for pip.
 
-`colcon build` for ament_python calls `setup.py` and reads `setup.cfg`, so a `pyproject.toml` would
-state the same facts a second time. Version, license and maintainer are in `package.xml` alone.
+There is no `pyproject.toml` on purpose: `colcon build` for ament_python calls `setup.py` and reads
+`setup.cfg`, so it would state the same facts a second time. The linter's settings are in
+`ruff.toml`, those of pytest and mypy in `setup.cfg`; version, license and maintainer in
+`package.xml` alone.
 """
 
 from glob import glob

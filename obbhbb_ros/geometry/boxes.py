@@ -88,7 +88,7 @@ class Defect(IntEnum):
     OUTSIDE_IMAGE = 6
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, init=False, eq=False, repr=False)
 class OrientedBoxes:
     """
     N oriented boxes.
@@ -136,12 +136,23 @@ class OrientedBoxes:
     second: FloatArray
     defects: NDArray[np.uint8]
     bow: NDArray[np.bool_]
-    regular: bool = False
+    regular: bool
 
-    def __post_init__(self) -> None:
-        """Make the arrays read-only."""
-        for array in (self.center, self.first, self.second, self.defects, self.bow):
+    def __init__(
+        self,
+        center: FloatArray,
+        first: FloatArray,
+        second: FloatArray,
+        defects: NDArray[np.uint8],
+        bow: NDArray[np.bool_],
+        regular: bool = False,
+    ) -> None:
+        for array in (center, first, second, defects, bow):
             array.setflags(write=False)
+        # Half the time that a frozen dataclass takes to assign them one by one.
+        self.__dict__.update(
+            center=center, first=first, second=second, defects=defects, bow=bow, regular=regular
+        )
 
     @classmethod
     def from_corners(
