@@ -71,15 +71,14 @@ class Buffer:
         if order is None or len(header) < _ENCAPSULATION:
             raise WireError(f'encapsulation {header.hex()} is not plain CDR')
         self.order = order
-        self.size = len(data) - _ENCAPSULATION
-        self._body = self._hold(data)
+        self._body, self.size = self._hold(memoryview(data)[_ENCAPSULATION:])
         words = np.frombuffer(self._body, _WORD[order], self.size // 4)
         # A memoryview gives single numbers in a third of the time that an array takes.
         self.lengths: memoryview = words.astype(_WORD['<'], copy=False).data
 
-    def _hold(self, data: bytes) -> memoryview:
-        """Return the body, here without a copy."""
-        return memoryview(data)[_ENCAPSULATION:]
+    def _hold(self, body: memoryview) -> tuple[memoryview, int]:
+        """Return the body to work on, here without a copy, and its size."""
+        return body, len(body)
 
     @property
     def stamp(self) -> Stamp:
@@ -120,6 +119,8 @@ class EditableBuffer(Buffer):
     ----------
     data : bytes
         The serialized message.
+    room : int
+        Zeros to add to the body, bytes.
 
     Attributes
     ----------
@@ -132,12 +133,17 @@ class EditableBuffer(Buffer):
         If the bytes do not start with the encapsulation header of plain CDR.
     """
 
-    def _hold(self, data: bytes) -> memoryview:
+    def __init__(self, data: bytes, room: int = 0) -> None:
+        self._room = room
+        super().__init__(data)
+
+    def _hold(self, body: memoryview) -> tuple[memoryview, int]:
         """Copy the body, so that it starts at a multiple of eight bytes, and ends at one."""
-        filling = bytes((-self.size & 7) + 8)
-        copy = bytearray().join((memoryview(data)[_ENCAPSULATION:], filling))
+        size = len(body) + self._room
+        copy = bytearray(size + (-size & 7) + 8)
+        copy[: len(body)] = body
         self.words: Words = np.frombuffer(copy, _WORD['<'])
-        return memoryview(copy)
+        return memoryview(copy), size
 
     def make_little_endian(self, numbers: Iterable[tuple[int, IntArray]]) -> None:
         """Reverse the bytes of all numbers, given as sizes in bytes and places."""

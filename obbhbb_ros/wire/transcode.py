@@ -104,9 +104,8 @@ def as_detections(
     if input_type.class_id:
         classes = _strings(buffer.words, index.places(input_type.class_id))
     new = _layout(len(header), ids, classes)
-    written = EditableBuffer(LITTLE_ENDIAN + bytes(new.end))
+    written = EditableBuffer(LITTLE_ENDIAN + header.tobytes(), new.end - 4 * len(header))
     words, doubles = written.words, written.words.view(np.float64)
-    words[: len(header)] = header
     words[len(header)] = count
     words[(new.places(Field.START) >> 2)[:, None] + np.arange(len(header))] = header
     words[new.places(Field.RESULTS) >> 2] = classes is not None
@@ -146,8 +145,9 @@ def _numbered(count: int) -> _Strings:
 
 def _copy(strings: _Strings, target: Words, places: IntArray) -> None:
     """Copy strings to their places in another message."""
-    source = strings.source[ranges(strings.places >> 2, strings.sizes)]
-    target[ranges(places >> 2, strings.sizes)] = source
+    sources = ranges(strings.places >> 2, strings.sizes)
+    targets = sources + np.repeat((places - strings.places) >> 2, strings.sizes)
+    target[targets] = strings.source[sources]
 
 
 def _layout(header_words: int, ids: _Strings, classes: _Strings | None) -> ElementIndex:
