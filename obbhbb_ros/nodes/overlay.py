@@ -11,10 +11,10 @@ from typing import Any
 from typing import TypeVar
 
 from builtin_interfaces.msg import Time
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CompressedImage
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
-from vision_msgs.msg import Detection2DArray
 from visualization_msgs.msg import ImageMarker
 
 from obbhbb_ros.colors import LAYER_COLORS
@@ -37,6 +37,7 @@ from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image import read_image
 from obbhbb_ros.wire.layouts import INPUT_TYPES
+from obbhbb_ros.wire.layouts import InputType
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import stamp_text
 
@@ -85,33 +86,29 @@ class Overlay(ManagedNode[OverlaySettings]):
         self._outputs = (self._pictures, self._markers, *self._markers_of.values())
         # As in the other nodes: a detector may publish with any reliability; everything else is
         # reliable, because the many pieces of a large image push small messages out of buffers.
-        images, layers = reliable(IMAGES_KEPT), reliable(PLANS_KEPT)
+        images, plans = reliable(IMAGES_KEPT), reliable(PLANS_KEPT)
         self._image_in = self.topics.input(
             Image, 'image', self._on_image, 'images_received', images, on_demand=True
         )
+        plain = INPUT_TYPES['Detection2DArray']
         self._layers_in = {
-            layer: self.topics.input(
-                kind,
-                topic,
-                partial(self._on_layer, layer),
-                f'layers_received.{layer}',
-                qos,
-                on_demand=True,
-            )
-            for layer, kind, topic, qos in (
-                (
-                    'detections',
-                    self._input_type,
-                    self._input_type.topic,
-                    best_effort(PLANS_KEPT),
-                ),
-                ('boxes', Detection2DArray, 'boxes', layers),
-                ('crop_regions', Detection2DArray, 'crop_regions', layers),
-            )
+            'detections': self._layer_input(
+                'detections', self._input_type, self._input_type.topic, best_effort(PLANS_KEPT)
+            ),
+            'boxes': self._layer_input('boxes', plain, 'boxes', plans),
+            'crop_regions': self._layer_input('crop_regions', plain, 'crop_regions', plans),
         }
         self._viewer_timer: Any = None
         self._drawing_timer: Any = None
         self.reporter.add_facts(self._facts)
+
+    def _layer_input(
+        self, layer: str, input_type: InputType, topic: str, qos: QoSProfile
+    ) -> TopicInput:
+        """Add the topic of a layer."""
+        callback = partial(self._on_layer, layer, input_type)
+        counter = f'layers_received.{layer}'
+        return self.topics.input(input_type, topic, callback, counter, qos, on_demand=True)
 
     def configure(self) -> None:
         """Start to look for viewers; the inputs are opened for the first one."""
@@ -160,15 +157,12 @@ class Overlay(ManagedNode[OverlaySettings]):
         """Keep an image for its layers."""
         self._collect(self._image_in, read_image(data), self._collector.add_image)
 
-    def _on_layer(self, layer: str, data: bytes) -> None:
+    def _on_layer(self, layer: str, input_type: InputType, data: bytes) -> None:
         """Keep a layer for its image, if it is drawn."""
         if layer not in self.parameters.settings.frame.colors:
             return
-        detections = (
-            Detections(data, self._input_type) if layer == 'detections' else Detections(data)
-        )
         add = partial(self._collector.add_layer, layer)
-        self._collect(self._layers_in[layer], detections, add)
+        self._collect(self._layers_in[layer], Detections(data, input_type), add)
 
     def _collect(
         self, topic: TopicInput, item: Item, add: Callable[[Stamp, Item, float], bool]
