@@ -78,14 +78,14 @@ def detector_message(count: int, side: int = 4096) -> bytes:
             random.uniform(-3, 3),
         )
         class_id = ('ship', 'tug', 'tanker')[random.integers(3)]
-        each = detection(row, class_id, random.uniform(), str(i))
-        each.header = array.header
-        array.detections.append(each)
+        ship = detection(row, class_id, random.uniform(), str(i))
+        ship.header = array.header
+        array.detections.append(ship)
     return serialize_message(array)
 
 
 def collection(polygons: Iterable[Sequence[Sequence[float]]]) -> Polygon2DCollection:
-    shapes = [Polygon2D(points=[Point2D(x=x, y=y) for x, y in each]) for each in polygons]
+    shapes = [Polygon2D(points=[Point2D(x=x, y=y) for x, y in points]) for points in polygons]
     return Polygon2DCollection(header=Header(frame_id='camera'), polygons=shapes)
 
 
@@ -96,7 +96,7 @@ def polygon(points: Sequence[Sequence[float]]) -> PolygonStamped:
 
 def rows_of(message: Detection2DArray) -> FloatArray:
     """Read a message back as rows of centre, size and angle."""
-    boxes = [each.bbox for each in message.detections]
+    boxes = [detection.bbox for detection in message.detections]
     rows = [
         (b.center.position.x, b.center.position.y, b.size_x, b.size_y, b.center.theta)
         for b in boxes

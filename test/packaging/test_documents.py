@@ -80,8 +80,8 @@ def test_the_carried_harbour_is_the_one_that_is_drawn() -> None:
 
 def test_every_source_names_its_license() -> None:
     files = [*ROOT.glob('*.py'), *ROOT.glob('*/**/*.py'), *(ROOT / 'scripts').iterdir()]
-    hidden = [each for each in files if '/.' in f'/{each.relative_to(ROOT)}']
-    sources = [each for each in files if each not in hidden]
+    hidden = [path for path in files if '/.' in f'/{path.relative_to(ROOT)}']
+    sources = [path for path in files if path not in hidden]
     assert len(sources) > 100
     for source in sources:
         head = source.read_text(encoding='utf-8').splitlines()[:2]
@@ -90,6 +90,6 @@ def test_every_source_names_its_license() -> None:
 
 def test_a_flight_machine_installs_what_the_nodes_need_and_no_more() -> None:
     manifest = ElementTree.parse(ROOT / 'package.xml')
-    python = {each.text for each in manifest.findall('exec_depend') if each.text[:6] == 'python'}
+    python = {item.text for item in manifest.findall('exec_depend') if item.text[:6] == 'python'}
     assert python == {'python3-numpy', 'python3-pil', 'python3-shapely', 'python3-yaml'}
     assert manifest.findtext('url').startswith('https://')

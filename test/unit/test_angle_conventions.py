@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same rectangle, written as each detector writes it, is converted to the same box."""
+"""The same rectangle, written as row detector writes it, is converted to the same box."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_every_convention_gives_the_box_of_the_corners(name: str, method: str) -
     expected = convert(
         OrientedBoxes.from_corners([corners_of(*r) for r in RECTANGLES]), method=method
     )
-    boxes = OrientedBoxes.from_xywhr([(*CENTER, *each) for each in written])
+    boxes = OrientedBoxes.from_xywhr([(*CENTER, *row) for row in written])
     np.testing.assert_allclose(convert(boxes, method=method), expected, atol=1e-6)
 
 

@@ -134,9 +134,9 @@ def test_an_unknown_bow_gives_the_plain_box_to_the_last_bit(rows, q, q_bow, q_st
     center, extents = centers_and_extents(plain, [HullRule('superellipse', q, f, s)])
     nowhere = np.zeros(len(rows), bool)
     for boxes in (plain, OrientedBoxes.from_xywhr(rows, bow=nowhere)):
-        found = centers_and_extents(boxes, rules)
-        np.testing.assert_array_equal(found[0], center)
-        np.testing.assert_array_equal(found[1], extents)
+        placed = centers_and_extents(boxes, rules)
+        np.testing.assert_array_equal(placed[0], center)
+        np.testing.assert_array_equal(placed[1], extents)
     # The first edge of these corners is a long side; that of a square may be either.
     corners = plain.corners[plain.length > 1.01 * plain.width]
     expected = convert_by_rule(OrientedBoxes.from_corners(corners), rules[0])
@@ -199,9 +199,9 @@ def test_caps_bound_the_whole_box_about_its_own_centre() -> None:
 def test_the_contact_is_that_of_the_side_of_the_bow() -> None:
     rows = [SLOPE, SLOPE]
     boxes = OrientedBoxes.from_xywhr(rows, bow=np.array([True, False]))
-    found = convert_with_diagnostics(boxes, HullRule(q=1.0, q_bow=2.0, q_stern=5.0))
-    np.testing.assert_allclose(found.t_x, [6 / 52**0.5, 1.0])
-    np.testing.assert_allclose(found.t_y, [8 / 73**0.5, 1.0])
+    conversion = convert_with_diagnostics(boxes, HullRule(q=1.0, q_bow=2.0, q_stern=5.0))
+    np.testing.assert_allclose(conversion.t_x, [6 / 52**0.5, 1.0])
+    np.testing.assert_allclose(conversion.t_y, [8 / 73**0.5, 1.0])
 
 
 @pytest.mark.filterwarnings('error')
@@ -235,9 +235,9 @@ def test_many_boxes_of_several_classes_come_out_as_each_alone() -> None:
     together = to_xyxy(*centers_and_extents(boxes, rules[1:]))
     np.testing.assert_allclose(together, convert_by_rule(boxes, rules[1]), rtol=1e-12, atol=1e-12)
     for index, rule in enumerate(rules):
-        mine = rule_of == index
-        alone = convert_by_rule(boxes[mine], rule)
-        np.testing.assert_allclose(mixed[mine], alone, rtol=1e-12, atol=1e-12)
+        rows_of_rule = rule_of == index
+        alone = convert_by_rule(boxes[rows_of_rule], rule)
+        np.testing.assert_allclose(mixed[rows_of_rule], alone, rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(boxes.center, rows[:, :2])
 
 

@@ -372,14 +372,18 @@ def test_the_options_of_convert_are_named() -> None:
 def test_diagnostics_are_those_of_algorithm_1() -> None:
     length, width, theta, q, f = 60.0, 20.0, 1.2, 2.2, 0.9
     boxes = OrientedBoxes.from_xywhr([[0, 0, length, width, theta], [0, 0, 4, np.nan, 0]])
-    found = convert_with_diagnostics(boxes, HullRule('shape_aware', q, f), Caps(max_length=40.0))
+    conversion = convert_with_diagnostics(
+        boxes, HullRule('shape_aware', q, f), Caps(max_length=40.0)
+    )
     k = q * f * width / length
     t_x = min(1.0, (np.cos(theta) / np.sin(theta) / k) ** (1 / (q - 1)))
-    assert (found.length[0], found.width[0], found.theta[0]) == pytest.approx((60, 20, 1.2))
-    assert (found.t_x[0], found.t_y[0]) == pytest.approx((t_x, 1.0))
-    assert found.capped.tolist() == [True, False]
-    assert found.valid.tolist() == [True, False]
-    assert np.isnan([found.t_x[1], found.t_y[1], found.length[1]]).all()
+    assert (conversion.length[0], conversion.width[0], conversion.theta[0]) == pytest.approx(
+        (60, 20, 1.2)
+    )
+    assert (conversion.t_x[0], conversion.t_y[0]) == pytest.approx((t_x, 1.0))
+    assert conversion.capped.tolist() == [True, False]
+    assert conversion.valid.tolist() == [True, False]
+    assert np.isnan([conversion.t_x[1], conversion.t_y[1], conversion.length[1]]).all()
 
 
 @pytest.mark.parametrize('method', ['superellipse', 'shape_aware', 'outer', 'midpoint', 'gaussian'])
@@ -400,5 +404,5 @@ def test_the_contact_is_how_fast_the_extent_grows_with_the_length(
     # The rule may turn a corner just here; there is no slope to compare with then.
     corner = np.abs(np.tan(theta) - [aspect, 1 / aspect, aspect / q, q / aspect])
     assume(corner.min() > 1e-4)
-    found = convert_with_diagnostics(OrientedBoxes.from_xywhr(row), HullRule(method, q))
-    np.testing.assert_allclose([found.t_x[0], found.t_y[0]], slope, atol=1e-4)
+    conversion = convert_with_diagnostics(OrientedBoxes.from_xywhr(row), HullRule(method, q))
+    np.testing.assert_allclose([conversion.t_x[0], conversion.t_y[0]], slope, atol=1e-4)

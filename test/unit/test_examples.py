@@ -21,10 +21,10 @@ from obbhbb_ros.geometry import methods
 
 # By their text, as some modules need what is not installed everywhere.
 MODULES = sorted(
-    found.name
-    for found in pkgutil.walk_packages(obbhbb_ros.__path__, 'obbhbb_ros.')
-    if not found.name.endswith('.__main__')
-    and '>>> ' in Path(found.module_finder.find_spec(found.name).origin).read_text('utf-8')
+    module.name
+    for module in pkgutil.walk_packages(obbhbb_ros.__path__, 'obbhbb_ros.')
+    if not module.name.endswith('.__main__')
+    and '>>> ' in Path(module.module_finder.find_spec(module.name).origin).read_text('utf-8')
 )
 WITH_EXAMPLES = (
     boxes.OrientedBoxes.from_corners,
