@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same rectangle, written as row detector writes it, is converted to the same box."""
+"""The same rectangle, written as each detector writes it, is converted to the same box."""
 
 from __future__ import annotations
 
