@@ -31,9 +31,8 @@ def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     outer         0.81
     superellipse  0.92
     """
-    head_line, *lines = aligned([head, *rows])
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    return '\n'.join([head_line, '  '.join('-' * width for width in widths), *lines])
+    return '\n'.join(aligned([head, ['-' * width for width in widths], *rows]))
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -114,7 +114,7 @@ def read_labelled_ships(options: Namespace) -> Ships:
         count = int(ships.with_reference.sum())
         note(f'obbhbb: {count} of {len(ships)} ships have a box in {options.reference}')
     if options.bow != 'none':
-        note(f'obbhbb: the bow of {int(ships.with_bow.sum())} of {len(ships)} ships is known')
+        note(f'obbhbb: the bow of {int(ships.boxes.bow.sum())} of {len(ships)} ships is known')
     if errors or ships.skipped:
         note(
             f'obbhbb: {len(errors)} malformed records and {ships.skipped} boxes without area left '

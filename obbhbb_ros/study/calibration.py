@@ -148,8 +148,8 @@ class Calibrator:
         bench = Bench(objective.shaping_ships(ships, plan.seed), plan.method)
         q, f, s = (round(value, _DIGITS) for value in best_shape(bench, plan, self.f_and_s))
         rule = objective.finish(HullRule(plan.method, q, f, s), ships, plan.seed)
-        if self.ends and isinstance(objective, OverlapObjective) and ships.with_bow.any():
-            return fit_bow_and_stern(ships.take(ships.with_bow), rule, objective)
+        if self.ends and isinstance(objective, OverlapObjective) and ships.boxes.bow.any():
+            return fit_bow_and_stern(ships.take(ships.boxes.bow), rule, objective)
         return rule
 
 
@@ -205,7 +205,7 @@ def has_ends(ships: Ships, plan: CalibrationPlan) -> bool:
     """Check whether q_bow and q_stern can be fitted: enough ships, in two images, and a use."""
     if not isinstance(plan.objective, OverlapObjective) or not METHODS[plan.method].two_ended:
         return False
-    images = ships.image_of[ships.with_bow]
+    images = ships.image_of[ships.boxes.bow]
     return len(images) >= MIN_SHIPS and len(np.unique(images)) >= 2
 
 
@@ -289,7 +289,7 @@ def bow_gain(ships: Ships, calibrator: Calibrator) -> float:
     one_q, objective = replace(calibrator, ends=False), calibrator.plan.objective
     if not isinstance(objective, OverlapObjective):
         raise ValueError(f'{objective.name} fits no q_bow and q_stern')
-    ships = ships.take(ships.with_bow)
+    ships = ships.take(ships.boxes.bow)
     folds, gain = min(_FOLDS, ships.image_count), np.zeros(len(ships))
     for training, rows in held_out_folds(ships, folds, one_q.plan.seed):
         base = one_q.fit(training)

@@ -20,7 +20,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from dataclasses import field
 from datetime import datetime
-from datetime import timedelta
 from datetime import timezone
 from hashlib import sha256
 from pathlib import Path
@@ -33,8 +32,7 @@ from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels.image_files import opened_image
-from obbhbb_ros.study.pages import environment
-from obbhbb_ros.study.pages import origin
+from obbhbb_ros.study.pages import rendered
 from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track
 from obbhbb_ros.wire.stamp import Stamp
@@ -42,7 +40,6 @@ from obbhbb_ros.wire.stamp import nanoseconds_of
 from obbhbb_ros.wire.stamp import stamp_text
 
 _SUFFIXES = {f'.{codec.suffix}' for codec in CODECS.values()}
-_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 # Longer side of an embedded picture, pixels.
 _EMBEDDED = 256
 # Where the header of a PNG states the bits per channel.
@@ -170,19 +167,16 @@ def gallery_page(
     numbers = {class_id: number for number, (class_id, _) in enumerate(classes.most_common())}
     cards = [_card(chip, numbers, beside, received.problems) for chip in track(chips, 'drawing')]
     times = sorted(chip.time for chip in received.chips)
-    return (
-        environment()
-        .get_template('gallery.html')
-        .render(
-            title=printable(title),
-            origin=origin(command),
-            total=len(received.chips),
-            classes=classes.most_common(),
-            span=[_utc(time) for time in (times[0], times[-1])] if times else [],
-            size=sum(chip.size or 0 for chip in received.chips),
-            problems=received.problems,
-            cards=cards,
-        )
+    return rendered(
+        'gallery.html',
+        printable(title),
+        command,
+        total=len(received.chips),
+        classes=classes.most_common(),
+        span=[_utc(time) for time in (times[0], times[-1])] if times else [],
+        size=sum(chip.size or 0 for chip in received.chips),
+        problems=received.problems,
+        cards=cards,
     )
 
 
@@ -302,22 +296,15 @@ def _card(
     chip: GalleryChip, numbers: dict[str, int], beside: Path, problems: list[str]
 ) -> dict[str, Any]:
     """Collect what the template shows of a chip."""
-    facts = chip.facts
-    class_id = printable(facts['class_id'])
+    texts = {name: printable(chip.facts[name]) for name in ('id', 'class_id', 'frame_id')}
     link = quote(os.fsencode(os.path.relpath(chip.path, beside)))
     return {
-        'id': printable(facts['id']),
-        'class_id': class_id,
-        'class_number': numbers[class_id],
-        'score': facts['score'],
-        'value': facts['value'],
+        **chip.facts,
+        **texts,
+        'class_number': numbers[texts['class_id']],
         'time': _utc(chip.time),
         'stamp': _stamp(chip.stamp),
-        'frame_id': printable(facts['frame_id']),
-        'detections': len(facts['detection_ids']),
-        'roi': facts['roi'],
-        'image_size': facts['image_size'],
-        'corners': _corners(facts['obb']),
+        'corners': _corners(chip.facts['obb']),
         'damage': chip.damage,
         'link': link,
         'picture': _picture(chip, link, problems),
@@ -387,5 +374,5 @@ def _stamp(stamp: Stamp) -> str:
 def _utc(time: int) -> str:
     """Write a time, nanoseconds, as date and time of day, to the millisecond."""
     seconds, rest = divmod(time, 10**9)
-    whole = _EPOCH + timedelta(seconds=seconds)
+    whole = datetime.fromtimestamp(seconds, timezone.utc)
     return f'{whole:%Y-%m-%d %H:%M:%S}.{rest // 10**6:03d} UTC'

@@ -42,9 +42,7 @@ GRIDS: MappingProxyType[str, Grid] = MappingProxyType(
     {
         # The paper's search space, 120 settings.
         'paper': Grid(
-            q=(1.5, 1.8, 2.0, 2.2, 2.4, 2.6),
-            f=(0.7, 0.8, 0.9, 1.0, 1.1),
-            s=(0.95, 1.0, 1.05, 1.1),
+            q=(1.5, 1.8, 2.0, 2.2, 2.4, 2.6), f=(0.7, 0.8, 0.9, 1.0, 1.1), s=(0.95, 1.0, 1.05, 1.1)
         ),
         # The best settings for real ships lie outside the paper's search space.
         'wide': Grid(

@@ -22,10 +22,7 @@ from numpy.typing import NDArray
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 
-PROTOCOLS = {
-    'obb': 'against the oriented box itself',
-    'hbb': 'against a separate axis-aligned box',
-}
+PROTOCOLS = {'obb': 'against the oriented box itself', 'hbb': 'against a separate axis-aligned box'}
 
 
 @dataclass(frozen=True, eq=False)

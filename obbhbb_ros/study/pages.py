@@ -6,28 +6,30 @@ from __future__ import annotations
 from datetime import datetime
 from datetime import timezone
 from importlib import metadata
+from typing import Any
 
 import jinja2
 
 from obbhbb_ros.study.progress import printable
 
 
-def environment() -> jinja2.Environment:
-    """Return the environment of the templates: everything is escaped, nothing may be missing."""
-    return jinja2.Environment(
+def rendered(template: str, title: str, command: str, **values: Any) -> str:
+    """
+    Make a page from a template and its values: everything is escaped, nothing may be missing.
+
+    The page tells when it was made, by which version and, unless it is empty, by which command.
+    """
+    templates = jinja2.Environment(
         loader=jinja2.PackageLoader('obbhbb_ros.study'),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-
-
-def origin(command: str) -> str:
-    """Tell when a page was made, by which version and, unless it is empty, by which command."""
     try:
         version = metadata.version('obbhbb_ros')
     except metadata.PackageNotFoundError:
         version = 'from a checkout'
     now = f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M} UTC'
-    return f'Made on {now} by obbhbb_ros {version}' + (f': {printable(command)}' if command else '')
+    made = f'Made on {now} by obbhbb_ros {version}' + (f': {printable(command)}' if command else '')
+    return templates.get_template(template).render(title=title, origin=made, **values)

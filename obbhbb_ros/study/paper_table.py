@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -18,28 +19,20 @@ from obbhbb_ros.study.metrics import overlap_with_hbb
 from obbhbb_ros.study.ships import Ships
 
 # By family and row (N outer, M midpoint, S shape-aware), one number per level of `FULLNESS`.
-PAPER_TABLE: MappingProxyType[str, dict[str, tuple[float, ...]]] = MappingProxyType(
+PAPER_TABLE: MappingProxyType[tuple[str, str], tuple[float, ...]] = MappingProxyType(
     {
-        'rectangular': {
-            'N': (0.211, 0.127, 0.073, 0.000),
-            'M': (0.218, 0.267, 0.298, 0.342),
-            'S': (0.264, 0.293, 0.310, 0.333),
-        },
-        'tapered': {
-            'N': (0.421, 0.376, 0.347, 0.305),
-            'M': (0.104, 0.128, 0.143, 0.167),
-            'S': (0.174, 0.187, 0.195, 0.208),
-        },
-        'bow_stern': {
-            'N': (0.277, 0.199, 0.148, 0.077),
-            'M': (0.191, 0.234, 0.261, 0.301),
-            'S': (0.234, 0.258, 0.272, 0.290),
-        },
-        'fine': {
-            'N': (0.413, 0.366, 0.335, 0.290),
-            'M': (0.108, 0.133, 0.150, 0.175),
-            'S': (0.175, 0.188, 0.195, 0.207),
-        },
+        ('rectangular', 'N'): (0.211, 0.127, 0.073, 0.000),
+        ('rectangular', 'M'): (0.218, 0.267, 0.298, 0.342),
+        ('rectangular', 'S'): (0.264, 0.293, 0.310, 0.333),
+        ('tapered', 'N'): (0.421, 0.376, 0.347, 0.305),
+        ('tapered', 'M'): (0.104, 0.128, 0.143, 0.167),
+        ('tapered', 'S'): (0.174, 0.187, 0.195, 0.208),
+        ('bow_stern', 'N'): (0.277, 0.199, 0.148, 0.077),
+        ('bow_stern', 'M'): (0.191, 0.234, 0.261, 0.301),
+        ('bow_stern', 'S'): (0.234, 0.258, 0.272, 0.290),
+        ('fine', 'N'): (0.413, 0.366, 0.335, 0.290),
+        ('fine', 'M'): (0.108, 0.133, 0.150, 0.175),
+        ('fine', 'S'): (0.175, 0.188, 0.195, 0.207),
     }
 )
 PAPER_ROWS: MappingProxyType[str, HullRule] = MappingProxyType(
@@ -49,24 +42,28 @@ PAPER_ROWS: MappingProxyType[str, HullRule] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Comparison:
-    """A mean relative error in the paper's Table 1, and ours; `fitted` if the hulls use it."""
+    """A mean relative error in the paper's Table 1, and ours."""
 
     family: str
     row: str
     fullness: float
     paper: float
     ours: float
-    fitted: bool
+
+    @property
+    def fitted(self) -> bool:
+        """Whether the hulls are fitted to the paper's number."""
+        return self.row == 'N' and self.fullness == 1.0
 
     @property
     def deviation(self) -> float:
         """Ours minus the paper's."""
         return self.ours - self.paper
 
-    @property
-    def deviation_text(self) -> str:
-        """The deviation as text, or that the number was fitted."""
-        return 'fitted' if self.fitted else f'{self.deviation:+.3f}'
+    def __str__(self) -> str:
+        """Return both, and the deviation or that the number was fitted."""
+        deviation = 'fitted' if self.fitted else f'{self.deviation:+.3f}'
+        return f'{self.paper:.3f}  {self.ours:.3f}  {deviation}'
 
 
 def _relative_errors(ships: Ships, rule: HullRule) -> dict[str, float]:
@@ -83,16 +80,8 @@ def paper_comparison() -> list[Comparison]:
     ships = hulls.synthetic_ships(seed=None)
     errors = {row: _relative_errors(ships, rule) for row, rule in PAPER_ROWS.items()}
     return [
-        Comparison(
-            family,
-            row,
-            full,
-            paper,
-            errors[row][hulls.class_name(family, full)],
-            fitted=row == 'N' and full == 1.0,
-        )
-        for family, table in PAPER_TABLE.items()
-        for row, numbers in table.items()
+        Comparison(family, row, full, paper, errors[row][hulls.class_name(family, full)])
+        for (family, row), numbers in PAPER_TABLE.items()
         for full, paper in zip(hulls.FULLNESS, numbers, strict=True)
     ]
 
@@ -108,16 +97,13 @@ def fit_family(family: hulls.Family) -> hulls.Family:
 
     Its ends below 1 are replaced by one number, found by bisection to 1e-5.
     """
-    target = PAPER_TABLE[family.name]['N'][hulls.FULLNESS.index(1.0)]
+    target = PAPER_TABLE[family.name, 'N'][hulls.FULLNESS.index(1.0)]
+    ends = [name for name in ('bow', 'stern') if getattr(family, name) < 1.0]
     low, high = 0.0, 1.0
-    fitted = family
     while high - low > 1e-5:
         end = (low + high) / 2.0
-        fitted = replace(
-            family,
-            bow=end if family.bow < 1.0 else 1.0,
-            stern=end if family.stern < 1.0 else 1.0,
-        )
+        changes: dict[str, Any] = dict.fromkeys(ends, end)
+        fitted = replace(family, **changes)
         ships = hulls.synthetic_ships([fitted], [1.0], seed=None)
         (error,) = _relative_errors(ships, PAPER_ROWS['N']).values()
         low, high = (end, high) if error > target else (low, end)

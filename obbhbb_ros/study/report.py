@@ -28,8 +28,7 @@ from obbhbb_ros.study.cross_validation import CALIBRATED
 from obbhbb_ros.study.cross_validation import CalibrationResult
 from obbhbb_ros.study.cross_validation import run
 from obbhbb_ros.study.metrics import PROTOCOLS
-from obbhbb_ros.study.pages import environment
-from obbhbb_ros.study.pages import origin
+from obbhbb_ros.study.pages import rendered
 from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.rules import TUNABLE_METHODS
 from obbhbb_ros.study.ships import Ships
@@ -71,8 +70,11 @@ def report_page(
     settings = evaluation.EvaluationSettings(seed=seed)
     scores = evaluation.evaluate(ships, DEFAULT_RULES, protocols, settings)
     result = _cross_validated(referenced, seed) if referenced else None
-    templates = environment()
-    templates.globals.update(
+    offsets = evaluation.offsets(referenced, settings=settings) if referenced else []
+    return rendered(
+        'report.html',
+        title,
+        command,
         ALL=evaluation.ALL,
         PROTOCOLS=PROTOCOLS,
         RULES=DEFAULT_RULES,
@@ -80,18 +82,12 @@ def report_page(
         color_of=figures.color_of,
         known_metrics=tables.known_metrics,
         tuned_text=tables.tuned_text,
-    )
-    return templates.get_template('report.html').render(
-        title=title,
-        origin=origin(command),
         conclusion=conclusion(referenced, result),
         ships=ships,
         references=len(referenced) if referenced else 0,
         settings=settings,
         scores=evaluation.nested(scores),
-        notes=tables.offset_notes(evaluation.offsets(referenced, settings=settings))
-        if referenced
-        else [],
+        notes=tables.offset_notes(offsets),
         angles=figures.svg(
             figures.angle_figure(scores),
             'Mean IoU of every method in three bands of tilt, by protocol',

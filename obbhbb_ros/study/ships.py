@@ -79,7 +79,8 @@ class Ships:
             raise ValueError('no ships in the labels')
         if bow not in BOWS:
             raise ValueError(f'bow must be one of {", ".join(BOWS)}, not {bow!r}')
-        boxes = _boxes(labels, bow)
+        source: Any = 'none' if bow == 'hull' else bow
+        boxes = OrientedBoxes.concatenate(image.boxes(source) for image in labels)
         ships = cls(
             boxes=boxes,
             reference=np.concatenate([image.reference for image in labels]),
@@ -140,11 +141,6 @@ class Ships:
     def heading_by_hull(self) -> Ships:
         """Return the ships with their bows from their hulls, see `bow_sides`."""
         return replace(self, boxes=with_bows(self.boxes, bow_sides(self.boxes, self.hulls)))
-
-    @property
-    def with_bow(self) -> NDArray[np.bool_]:
-        """Whether the bow of each ship is known, shape (N,)."""
-        return self.boxes.bow
 
     @cached_property
     def outlines(self) -> NDArray[np.object_]:
@@ -209,20 +205,6 @@ def read_ships(
     if reference is not None:
         images = match_references(images, read(reference))
     return Ships.from_labels(images, bow)
-
-
-def _boxes(labels: Sequence[ImageLabels], bow: str) -> OrientedBoxes:
-    """Join the boxes of images, with the bows that the labels know."""
-    corners = np.concatenate([image.corners for image in labels])
-    if bow == 'first-edge':
-        return OrientedBoxes.from_corners(corners, bow=True)
-    if bow == 'labels' and any(image.bow is not None for image in labels):
-        bows = [
-            np.zeros(len(image.class_ids), bool) if image.bow is None else image.bow
-            for image in labels
-        ]
-        return OrientedBoxes.from_corners(corners, bow=np.concatenate(bows))
-    return OrientedBoxes.from_corners(corners)
 
 
 def _numbered(names: Sequence[Any]) -> NDArray[np.intp]:

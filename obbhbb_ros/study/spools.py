@@ -85,9 +85,7 @@ def chip_table(chips: Iterable[StoredChip]) -> str:
 def as_json(status: Status, chips: Iterable[StoredChip]) -> Mapping[str, Any]:
     """Return books and chips for a JSON file."""
     books = {name: value for name, value in vars(status).items() if name != 'file_bytes'}
-    return books | {
-        'chips': [{**_described(chip), 'state': STATES[chip.state]} for chip in chips],
-    }
+    return books | {'chips': [{**_described(chip), 'state': STATES[chip.state]} for chip in chips]}
 
 
 def _described(chip: StoredChip) -> Mapping[str, Any]:

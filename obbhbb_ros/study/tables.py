@@ -180,7 +180,7 @@ def _decision_lines(result: CalibrationResult) -> list[str]:
     calibrator = result.calibrator
     objective = calibrator.plan.objective
     beside_q, unit = ' and '.join(objective.parameters[1:]), objective.unit
-    ends = f'q_bow and q_stern over q, {result.ships.with_bow.sum()} ships with a known bow'
+    ends = f'q_bow and q_stern over q, {result.ships.boxes.bow.sum()} ships with a known bow'
     gains = {f'{beside_q} over q alone': calibrator.gain_of_f_and_s, ends: calibrator.gain_of_ends}
     return [
         f'{name}: gain {gain:+.4f} of held-out {unit}, fitted'
@@ -229,9 +229,7 @@ def comparison_table(comparisons: Sequence[Comparison]) -> str:
     rows: dict[str, list[str]] = {}
     for comparison in sorted(comparisons, key=lambda comparison: comparison.fullness):
         name = f'{comparison.fullness:.2f} {comparison.row}'
-        rows.setdefault(name, [name]).append(
-            f'{comparison.paper:.3f}  {comparison.ours:.3f}  {comparison.deviation_text}'
-        )
+        rows.setdefault(name, [name]).append(str(comparison))
     return text_table(['paper, ours, deviation', *families], list(rows.values()))
 
 

@@ -158,8 +158,8 @@ def test_ends_fitted_on_one_half_of_the_images_gain_on_the_other() -> None:
     ships = synthetic_ships([FAMILIES['bow_stern'], FAMILIES['tapered']], aspects=2, angles=40)
     ships = ships.heading_by_hull()
     # Tapered hulls are alike at both ends.
-    assert 0.4 < ships.with_bow.mean() < 0.6
-    known, new = split(ships.take(ships.with_bow))
+    assert 0.4 < ships.boxes.bow.mean() < 0.6
+    known, new = split(ships.take(ships.boxes.bow))
     one, two = (
         iou(
             convert_by_rule(new.boxes, calibrate(known, CalibrationPlan(ends=ends))), new.reference
