@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node tells of itself on /diagnostics."""
+"""What the node reports on /diagnostics."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 
-# What it tests depends on rclpy, which is the same in all environments.
+# These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once
 
 
 def test_a_report_on_the_node_comes_once_a_second(node: Converter) -> None:
-    # Not one that still tells of trouble in another test.
+    # The next one may still report the trouble of another test.
     node.next_report()
     node.wait(lambda: len(node.reports()) >= 4, 'four reports')
     times = [time_of(report) for report in node.reports()]
-    # One that a busy machine delays shortens the time to the next.
+    # After a delayed report, the next one comes sooner.
     assert np.median(np.diff(times)) == pytest.approx(1.0, abs=0.25)
     assert abs(times[-1] - time.time()) < 10.0
     status = node.reports()[-1].status[0]
@@ -44,7 +44,7 @@ def test_a_report_on_the_node_comes_once_a_second(node: Converter) -> None:
     assert values_of(status)['state'] == 'active'
 
 
-def test_messages_and_detections_are_counted_for_good(node: Converter) -> None:
+def test_messages_and_detections_are_counted_from_the_start(node: Converter) -> None:
     before = node.counts()
     for total in (26, 52):
         for count in (0, 1, 5, 20):
@@ -59,7 +59,7 @@ def test_rates_are_those_since_the_report_before(node: Converter) -> None:
     node.next_report()
 
     def with_messages() -> list[tuple[DiagnosticArray, DiagnosticArray]]:
-        # In some period we may have stood still.
+        # On a busy machine, some periods may have no messages.
         return [
             (one, other)
             for one, other in pairwise(node.reports())
@@ -86,11 +86,11 @@ def test_latency_percentiles_are_in_order(node: Converter) -> None:
     names = ('latency_p50_ms', 'latency_p99_ms', 'latency_max_ms')
     p50, p99, worst = (counts[name] for name in names)
     assert 0.0 < p50 <= p99 <= worst
-    # Not the time between messages, nor seconds instead of milliseconds.
+    # Neither the time between messages, nor seconds instead of milliseconds.
     assert 0.01 < p50 < 100.0
 
 
-def test_parameters_in_force_are_all_there(node: Converter) -> None:
+def test_all_parameters_in_force_are_reported(node: Converter) -> None:
     node.set({'q': float('inf'), 'method': 'shape_aware', 'class_ids': ['tug']})
     node.set({'classes.tug.f': 0.5})
     values = values_of(node.next_report())
@@ -103,7 +103,7 @@ def test_parameters_in_force_are_all_there(node: Converter) -> None:
     assert values_of(node.next_report())['parameter.q'] == 'inf'
 
 
-def test_trouble_is_a_warning_in_the_next_report_and_no_longer(node: Converter) -> None:
+def test_trouble_is_a_warning_in_the_next_report_alone(node: Converter) -> None:
     before = node.counts()
     node.convert(detections([(1.0, 2.0, -3.0, 4.0, 0.0)]))
 
@@ -128,7 +128,7 @@ def test_silence_is_an_error_and_then_stale_until_input_comes(
 ) -> None:
     node = start()
     node.connect()
-    # Not before, as it may take a while to be connected.
+    # Only now, because connecting may take a while.
     node.set({'input_timeout': 1.5})
     node.wait(lambda: node.next_report().level == DiagnosticStatus.ERROR, 'an error')
     assert node.next_report().message.startswith('no input for ')
@@ -155,7 +155,7 @@ def test_no_input_is_expected_while_inactive_or_without_a_timeout(
         assert node.next_report().level == DiagnosticStatus.OK
 
 
-def test_a_silent_node_that_is_deactivated_does_not_say_that_input_is_back(
+def test_a_silent_node_that_is_deactivated_does_not_log_that_input_is_back(
     start: Callable[..., Converter],
 ) -> None:
     node = start()
@@ -183,7 +183,7 @@ def test_the_hardware_is_the_node_unless_it_has_another_name(node: Converter) ->
     node.wait(lambda: node.next_report().hardware_id == 'payload 2', 'the other name')
 
 
-def test_large_messages_that_get_lost_are_counted_and_said(start: Callable[..., Converter]) -> None:
+def test_lost_large_messages_are_counted_and_reported(start: Callable[..., Converter]) -> None:
     node = start()
     node.connect()
     best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -191,7 +191,7 @@ def test_large_messages_that_get_lost_are_counted_and_said(start: Callable[..., 
     node.wait(publisher.get_subscription_count, 'the node')
     large = detections(fleet(2000))
     data = serialize_message(large)
-    # That one is lost is seen when another comes.
+    # A loss is noticed when the next message arrives.
     node.wait(lambda: publisher.publish(data) or 'lost' in node.process.log, 'the warning')
     line = node.wait_for_log('the middleware lost', f'{node.namespace}/detections')
     assert 'config/fastdds_large.xml' in line

@@ -19,7 +19,7 @@ from ships import detections
 from ships import fleet
 from vision_msgs.msg import Detection2DArray
 
-# What it tests depends on rclpy, which is the same in all environments.
+# These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once
 
 NAN, OUTSIDE = (np.nan, 0.0, 1.0, 1.0, 0.0), (1e6, 1e6, 10.0, 5.0, 0.0)

@@ -28,7 +28,7 @@ from obbhbb_ros.nodes import process
 from obbhbb_ros.nodes.executor import ExpressExecutor
 from obbhbb_ros.nodes.executor import UnknownRclpyError
 
-# What it tests depends on rclpy, which is the same in all environments.
+# These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once
 
 DEEP = QoSProfile(depth=100)
@@ -186,7 +186,7 @@ def test_no_subscription_waits_for_another_to_run_dry(scene: Scene) -> None:
         assert set(scene.node.heard[i : i + 2]) == {'first', 'second'}
 
 
-def test_what_is_created_and_destroyed_meanwhile_is_seen(scene: Scene) -> None:
+def test_entities_created_or_destroyed_meanwhile_are_noticed(scene: Scene) -> None:
     first, second = scene.publishers()
     calls: list[int] = []
     timer = scene.node.create_timer(0.01, lambda: calls.append(1))
@@ -203,7 +203,7 @@ def test_what_is_created_and_destroyed_meanwhile_is_seen(scene: Scene) -> None:
     assert len(calls) == count
 
 
-def test_tasks_run_and_coroutines_go_on_when_what_they_wait_for_is_there(scene: Scene) -> None:
+def test_tasks_run_and_coroutines_continue_when_their_futures_are_done(scene: Scene) -> None:
     first, _ = scene.publishers()
     done: list[str] = []
     scene.spin_for(0.2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The managed node: every transition, by the services that lifecycle managers use."""
+"""Every transition of a managed node, by the services that lifecycle managers use."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ships import fleet
 from ships import rows_of
 from vision_msgs.msg import Detection2DArray
 
-# What it tests depends on rclpy, which is the same in all environments.
+# These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once
 
 Start = Callable[..., Converter]
@@ -52,12 +52,12 @@ def go(node: Converter, *transitions: int) -> None:
 
 
 def outputs(node: Converter) -> list[str]:
-    """List the node's output topics that are there."""
+    """List the output topics of the node that exist."""
     return [topic for topic in TOPICS if node.peer.node.count_publishers(topic)]
 
 
 def inputs(node: Converter) -> int:
-    """Count the node's inputs that are there."""
+    """Count the input topics of the node that exist."""
     topics = ('detections', 'camera_info')
     return sum(node.peer.node.count_subscribers(topic) for topic in topics)
 
@@ -69,7 +69,7 @@ def assert_it_converts(node: Converter) -> None:
 
 
 def send_while_inactive(node: Converter, count: int) -> None:
-    """Send messages until the node has counted so many that it left alone."""
+    """Send messages until the node has counted this many while inactive."""
     counts = Counts(DiagnosticStatus())
     while counts['messages_while_inactive'] < count:
         for _ in range(count):
@@ -84,7 +84,7 @@ def test_with_autostart_the_node_is_active_by_itself(start: Start) -> None:
 
 
 def test_without_autostart_it_is_unconfigured_and_has_no_topics(managed: Converter) -> None:
-    # Longer than it takes to discover topics, and for an active node to report.
+    # Enough time to discover topics, and for an active node to report.
     managed.peer.spin_to(time.monotonic() + 1.5)
     assert outputs(managed) == []
     assert inputs(managed) == 0
@@ -98,7 +98,7 @@ def test_inactive_it_publishes_nothing_but_diagnostics(managed: Converter) -> No
     managed.wait(lambda: outputs(managed) == list(TOPICS) and inputs(managed) == 2, 'the topics')
     send_while_inactive(managed, 3)
     assert values_of(managed.next_report())['state'] == 'inactive'
-    # Had anything been published it would come before what is now.
+    # Anything published before would arrive before the answer to this message.
     go(managed, ACTIVATE)
     stamp = managed.send(detections(fleet(1)))
     for answers in (managed.boxes, crops):
@@ -119,7 +119,9 @@ def test_it_can_be_deactivated_and_activated_again(managed: Converter) -> None:
     assert_it_converts(managed)
 
 
-def test_cleanup_gives_every_topic_back_and_it_can_be_configured_again(managed: Converter) -> None:
+def test_cleanup_removes_every_topic_and_the_node_can_be_configured_again(
+    managed: Converter,
+) -> None:
     for _ in range(3):
         go(managed, CONFIGURE, ACTIVATE)
         assert_it_converts(managed)
@@ -166,7 +168,7 @@ def test_it_can_be_shut_down_from_any_state(managed: Converter, state: str) -> N
     assert 'Traceback' not in managed.process.log
 
 
-def test_an_impossible_transition_is_answered_with_no(managed: Converter) -> None:
+def test_an_impossible_transition_is_refused(managed: Converter) -> None:
     for transition in (ACTIVATE, DEACTIVATE, CLEANUP, SHUTDOWN['active'], 99):
         assert not managed.change_state(transition)
         assert managed.state() == 'unconfigured'
@@ -181,7 +183,7 @@ def test_an_impossible_transition_is_answered_with_no(managed: Converter) -> Non
     assert_it_converts(managed)
 
 
-def test_a_node_that_cannot_be_configured_says_why_and_stays(start: Start) -> None:
+def test_a_node_that_cannot_be_configured_logs_why_and_stays_unconfigured(start: Start) -> None:
     override = 'qos_overrides./detections.subscription.reliability'
     arguments = ['-r', 'detections:=/detections']
     node = start(parameters={'autostart': False, override: 'perhaps'}, arguments=arguments)
@@ -191,7 +193,7 @@ def test_a_node_that_cannot_be_configured_says_why_and_stays(start: Start) -> No
     node.wait(lambda: not outputs(node) and not inputs(node), 'the topics to go')
 
 
-def test_lifecycle_tools_are_told_the_way(managed: Converter) -> None:
+def test_lifecycle_tools_can_ask_for_the_available_transitions(managed: Converter) -> None:
     request = GetAvailableTransitions.Request()
     response = managed.call('get_available_transitions', request)
     labels = [available.transition.label for available in response.available_transitions]

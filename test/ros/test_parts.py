@@ -13,7 +13,7 @@ from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.parts import Part
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 
-# What it tests depends on rclpy, which is the same in all environments.
+# These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE

@@ -40,7 +40,7 @@ from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 
-# What it tests depends on rclpy, which is the same in all environments.
+# These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once
 
 Start = Callable[..., Converter]
@@ -122,12 +122,12 @@ def test_topics_can_be_remapped(start: Start) -> None:
         assert f'{node.namespace}/elsewhere/{topic}' in names
 
 
-def test_every_topic_lies_in_the_namespace_but_diagnostics(start: Start) -> None:
+def test_every_topic_but_diagnostics_is_in_the_namespace(start: Start) -> None:
     node = start()
     node.connect()
     arguments = ('obb_to_hbb', node.namespace)
     graph = node.peer.node
-    # Topics and nodes are discovered apart from each other.
+    # Topics and nodes are discovered separately.
     node.wait(lambda: arguments in graph.get_node_names_and_namespaces(), 'the node in the graph')
     inside = {f'{node.namespace}/{topic}' for topic in ('boxes', 'crop_regions')}
     node.wait(
@@ -206,9 +206,9 @@ def test_a_signal_ends_a_node_that_is_not_configured_cleanly(start: Start, numbe
 
 
 EXECUTABLES = ['obb_to_hbb', 'chip_extractor', 'overlay', 'play_detections']
-# From the first line, through imports and the making of the node, to a node that runs.
+# From the first line, through imports and the start of the node, to a running node.
 MOMENTS = [0.0, 0.1, 0.5, 1.0]
-# A terminal's Ctrl-C reaches a launched node twice; what comes after that finds it ending.
+# Ctrl-C in a terminal reaches a launched node twice; later signals arrive while it ends.
 BURSTS = {
     'twice at once': [(0.0, signal.SIGINT), (0.0, signal.SIGINT)],
     'twice': [(0.0, signal.SIGINT), (0.02, signal.SIGINT)],
@@ -220,7 +220,7 @@ BURSTS = {
 @pytest.mark.skipif(not Path('/proc/self/status').exists(), reason='needs Linux')
 @pytest.mark.parametrize('burst', BURSTS.values(), ids=BURSTS)
 @pytest.mark.parametrize('executable', EXECUTABLES)
-def test_however_often_and_whenever_signals_come_the_end_is_clean(
+def test_the_end_is_clean_however_many_signals_arrive_and_when(
     site: Site, executable: str, burst: list[tuple[float, int]]
 ) -> None:
     for moment in MOMENTS:
@@ -242,9 +242,7 @@ print('stuck', flush=True); time.sleep(60)
 
 
 @pytest.mark.parametrize('closed', ['', '2>&-'], ids=['with a log', 'without'])
-def test_a_node_that_does_not_come_to_its_end_leaves_and_says_where_it_is(
-    tmp_path: Path, closed: str
-) -> None:
+def test_a_node_that_hangs_at_its_end_exits_and_logs_where(tmp_path: Path, closed: str) -> None:
     shell = f'exec {sys.executable} -c "{STUCK}" {closed}'
     with NodeProcess(['sh', '-c', shell], tmp_path / 'log') as process:
         while 'stuck' not in process.log:
@@ -264,7 +262,7 @@ def test_a_node_with_nothing_to_do_does_next_to_nothing(start: Start) -> None:
     node.next_report()
     started, before = time.monotonic(), node.process.cpu_seconds()
     node.wait(lambda: len(node.reports()) >= 4, 'three seconds')
-    # A busy machine may make them more.
+    # On a busy machine it may take longer.
     assert (node.process.cpu_seconds() - before) / (time.monotonic() - started) < 0.1
 
 
@@ -285,7 +283,7 @@ BAD_PARAMETERS = [
 
 @pytest.fixture(scope='module')
 def failures(site: Site) -> Iterator[list[NodeProcess]]:
-    """Nodes that cannot start, at the same time."""
+    """Nodes that cannot start, all at the same time."""
     with contextlib.ExitStack() as stack:
         yield [
             stack.enter_context(site.start('obb_to_hbb', parameters=parameters))
@@ -315,7 +313,7 @@ def test_a_bad_command_line_ends_the_start_without_traceback(
 ) -> None:
     with site.start('obb_to_hbb', arguments=arguments) as process:
         assert process.wait() == 1
-    # A library of ROS may have logged something before.
+    # A library of ROS may log something before it.
     line = process.log.splitlines()[-1]
     assert line.startswith('cannot start: ')
     assert text in line
@@ -328,7 +326,7 @@ BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def profiles(node: Converter) -> dict[str, QoSProfile]:
-    """Find out what the node asks for and offers, by topic."""
+    """Return the profiles that the node requests and offers, by topic."""
     graph = node.peer.node
     topics = {
         'detections': graph.get_subscriptions_info_by_topic,
@@ -377,14 +375,14 @@ def test_a_parameter_file_can_override_the_profiles(start: Start, tmp_path: Path
         'boxes': ReliabilityPolicy.BEST_EFFORT,
         'crop_regions': ReliabilityPolicy.RELIABLE,
     }
-    # DDS tells neither history nor depth to others.
+    # DDS does not announce history and depth.
     prefix = 'qos_overrides./qos_test'
     names = f'{prefix}/detections.subscription.depth', f'{prefix}/boxes.publisher.history'
     assert node.get(*names) == [3, 'keep_all']
     assert node.process.log == ''
 
 
-def test_an_override_of_no_topic_or_policy_is_said(start: Start) -> None:
+def test_an_override_that_matches_no_topic_or_policy_is_reported(start: Start) -> None:
     unused = [
         'qos_overrides./detections.subscription.depth',
         'qos_overrides./odd/detections.subscription.lifespan',
@@ -395,7 +393,7 @@ def test_an_override_of_no_topic_or_policy_is_said(start: Start) -> None:
     assert line.endswith(': ' + ', '.join(unused))
 
 
-def test_best_effort_detectors_are_heard(start: Start) -> None:
+def test_messages_of_best_effort_detectors_are_received(start: Start) -> None:
     node = start()
     publisher = node.peer.publisher(Detection2DArray, 'detections', BEST_EFFORT)
     node.wait(lambda: publisher.publish(detections(fleet(2))) or node.boxes, 'boxes')
@@ -418,7 +416,7 @@ def test_a_publisher_whose_profile_does_not_fit_is_logged(start: Start) -> None:
     node.peer.node.create_publisher(Detection2DArray, 'detections', BEST_EFFORT)
     line = node.wait_for_log('incompatible QoS', "'detections'")
     assert 'RELIABILITY' in line
-    # One that fits is heard all the same.
+    # A matching one is received all the same.
     node.connect()
 
 
@@ -426,7 +424,7 @@ def test_a_publisher_whose_profile_does_not_fit_is_logged(start: Start) -> None:
 
 
 @pytest.mark.parametrize('kind', ['pipe', 'socket'])
-def test_a_log_that_nobody_reads_stops_nothing(
+def test_the_node_keeps_running_if_nobody_reads_its_log(
     start: Callable[..., Converter], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     ends = os.pipe() if kind == 'pipe' else [end.detach() for end in socket.socketpair()][::-1]
@@ -448,7 +446,7 @@ def test_a_log_that_nobody_reads_stops_nothing(
     for _ in range(3):
         node.publisher.publish(b'\x00\x01\x00\x00 no message at all')
         node.convert(detections(fleet(3)))
-    # It need not be the next one that tells.
+    # The warning may be in a later report than the next.
     node.wait(
         lambda: any(report.status[0].level == DiagnosticStatus.WARN for report in node.reports()),
         'the level',
@@ -469,7 +467,7 @@ def test_a_node_without_output_at_all_works(site: Site) -> None:
         assert process.wait(SOON) == 0
 
 
-def test_a_log_file_is_shared_with_whoever_else_writes_to_it(site: Site, tmp_path: Path) -> None:
+def test_a_log_file_is_shared_with_other_writers(site: Site, tmp_path: Path) -> None:
     node = f'{sys.executable} -m obbhbb_ros.nodes obb_to_hbb --ros-args -p q'
     command = f'(echo before; {node}; echo after) > {tmp_path}/log 2>&1'
     subprocess.run(['sh', '-c', command], check=True)

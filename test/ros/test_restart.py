@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Crashes and stuck callbacks: the node ends, comes back, and says what happened to it."""
+"""Crashes and stuck callbacks: the node exits, is restarted, and reports what happened."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from obbhbb_ros.nodes.last_run import last_run
 from obbhbb_ros.nodes.last_run import read_run
 from obbhbb_ros.nodes.state_file import StateFile
 
-# What it tests depends on rclpy, which is the same in all environments.
+# These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once
 
 Start = Callable[..., Converter]
@@ -45,7 +45,7 @@ Start = Callable[..., Converter]
 
 @pytest.fixture(scope='module')
 def crashed(site: Site, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Crashing]]:
-    """Nodes that each have crashed in one of these ways and were started again."""
+    """Nodes that have crashed, each in its way, and were restarted."""
     with ExitStack() as stack:
         nodes = {
             name: stack.enter_context(Crashing(site, tmp_path_factory.mktemp('crashing'), way))
@@ -66,7 +66,7 @@ def crashed(site: Site, tmp_path_factory: pytest.TempPathFactory) -> Iterator[di
 
 
 @pytest.mark.parametrize('name', CRASHES)
-def test_after_a_crash_the_node_answers_and_says_why_the_last_run_ended(
+def test_after_a_crash_the_node_answers_and_reports_why_the_last_run_ended(
     crashed: dict[str, Crashing], name: str
 ) -> None:
     node = crashed[name]
@@ -87,7 +87,7 @@ def test_the_log_says_where_a_node_crashed_or_was_stuck(crashed: dict[str, Crash
     where = re.compile(r'stacks of the last run:\n.*line \d+ in (spin|stuck_answer)', re.DOTALL)
     assert where.search(crashed['crashed'].process.log)
     assert where.search(crashed['stuck in C'].process.log)
-    # It was there at once.
+    # This node logged it at once.
     assert 'line 14 in stuck_answer' in crashed['stuck in Python'].log_of_last
     assert re.search(rf'\[FATAL\].*: {WATCHDOG}', crashed['stuck in Python'].log_of_last)
 
@@ -107,27 +107,25 @@ def test_restarts_are_counted_until_the_node_is_asked_to_end(crashed: dict[str, 
     assert node.process.log == ''
 
 
-def test_a_node_without_work_and_one_that_was_stopped_for_long_are_not_stuck(start: Start) -> None:
+def test_the_watchdog_spares_idle_nodes_and_nodes_stopped_from_outside(start: Start) -> None:
     parameters = {'watchdog_timeout': 4.0}
     idle = start(parameters=parameters | {'autostart': False})
     stopped = start(parameters=parameters)
     stopped.connect()
     assert idle.state() == 'unconfigured'
     stopped.process.send_signal(signal.SIGSTOP)
-    # Longer than the timeout; less than twice that by more than a busy machine adds.
+    # Longer than the timeout, but shorter than twice that even on a busy machine.
     time.sleep(4.7)
     stopped.process.send_signal(signal.SIGCONT)
     stopped.connect()
     assert idle.state() == 'unconfigured'
     for node in (idle, stopped):
         assert node.process.running
-        # Messages to one that is stopped may be lost, and it says so.
+        # A stopped node may lose messages, and then warns of that.
         assert not re.search('watchdog|Timeout', node.process.log)
 
 
-def test_one_that_cannot_start_leaves_what_the_run_before_it_left(
-    site: Site, tmp_path: Path
-) -> None:
+def test_a_run_that_cannot_start_leaves_the_state_file_as_it_is(site: Site, tmp_path: Path) -> None:
     file = tmp_path / 'state.json'
     before = asdict(replace(RUN, counters={'chips_stored': 7}))
     file.write_text(json.dumps(before))
@@ -142,7 +140,7 @@ def test_one_that_cannot_start_leaves_what_the_run_before_it_left(
 
 
 @pytest.mark.parametrize('executable', ['chip_extractor', 'downlink', 'overlay'])
-def test_every_managed_node_tells_of_its_last_run(
+def test_every_managed_node_reports_its_last_run(
     site: Site, tmp_path: Path, executable: str
 ) -> None:
     with Node(site, executable) as node:
@@ -174,11 +172,11 @@ sys.exit(process.run(ObbToHbb, halt))
 """
 
 
-def test_a_node_that_gets_stuck_over_its_end_leaves_that_behind(tmp_path: Path) -> None:
+def test_a_node_that_hangs_at_its_end_leaves_that_in_the_state_file(tmp_path: Path) -> None:
     file = tmp_path / 'state.json'
     command = [sys.executable, '-c', STUCK_AT_THE_END]
     with NodeProcess(command, tmp_path / 'log', parameters={'state.path': file}) as process:
-        # Written once more, so that it runs: one that is being made leaves at once.
+        # A second time, so that the node is running: one that is starting exits at once.
         moments: set[str] = set()
         while len(moments) < 2:
             assert process.running
@@ -194,7 +192,7 @@ def test_a_node_that_gets_stuck_over_its_end_leaves_that_behind(tmp_path: Path) 
 # Without ---------------------------------------------------------------------------------------
 
 
-def test_by_default_nothing_is_kept_and_nothing_said(node: Converter) -> None:
+def test_by_default_there_is_no_state_file_and_no_report_of_it(node: Converter) -> None:
     keys = values_of(node.next_report())
     assert not [key for key in keys if key.startswith(('restarts', 'last_run'))]
 
@@ -217,7 +215,7 @@ def test_two_nodes_do_not_share_a_file(crashed: dict[str, Crashing], start: Star
     assert read_run(one.state_file.read_bytes()).node == f'{one.namespace}/obb_to_hbb'
 
 
-def test_a_damaged_file_and_one_that_cannot_be_written_are_said_once_and_stop_nothing(
+def test_a_damaged_or_unwritable_file_is_reported_once_and_the_node_carries_on(
     start: Start, tmp_path: Path
 ) -> None:
     file = tmp_path / 'state.json'
@@ -231,7 +229,7 @@ def test_a_damaged_file_and_one_that_cannot_be_written_are_said_once_and_stop_no
     in_the_way = tmp_path / '.state.json'
 
     def is_blocked() -> bool:
-        # It may be there, as the file that is about to replace the other.
+        # The node may be writing a file of that name.
         with suppress(FileExistsError):
             in_the_way.mkdir()
         return in_the_way.is_dir()
@@ -349,7 +347,7 @@ print(state_file.last_run.warning)
 """
 
 
-def test_an_attempt_that_cannot_start_leaves_the_evidence_of_the_crash_before_it(
+def test_a_run_that_cannot_start_keeps_the_stacks_of_the_crash_before_it(
     tmp_path: Path,
 ) -> None:
     def run(*words: str) -> str:
@@ -360,7 +358,7 @@ def test_an_attempt_that_cannot_start_leaves_the_evidence_of_the_crash_before_it
     assert 'crashed: Segmentation fault (SIGSEGV)' in run()
     assert 'restart 1 in a row' in (told := run('start'))
     assert 'crashed: Segmentation fault (SIGSEGV)' in told
-    # That run ended without a word, and its stacks are not those of the one before.
+    # The last run was killed, and the older stacks are gone.
     assert 'killed: SIGKILL' in run('start')
 
 
