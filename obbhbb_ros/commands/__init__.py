@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shlex
 from argparse import ArgumentParser
 from argparse import Namespace
 from collections.abc import Callable
@@ -60,5 +61,6 @@ def command_line() -> ArgumentParser:
 
 def run(arguments: Sequence[str]) -> int:
     """Parse a command line, without the program's name, and run it; return the exit code."""
-    options = command_line().parse_args(arguments, Namespace(arguments=list(arguments)))
+    options = Namespace(invocation=shlex.join(['obbhbb', *arguments]))
+    command_line().parse_args(arguments, options)
     return COMMANDS[options.command].run(options)

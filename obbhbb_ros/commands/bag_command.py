@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from argparse import ArgumentParser
 from argparse import Namespace
+from dataclasses import fields
 from pathlib import Path
 
 from obbhbb_ros.commands.shared_options import without_garbage_collection
@@ -61,13 +62,10 @@ def run_bag(options: Namespace) -> int:
             options.source,
             options.target,
             replay.ReplayOptions(
-                topic=options.topic,
-                camera_info=options.camera_info,
-                params_file=options.params_file,
-                node=options.node,
-                storage=options.storage,
-                compression=options.compression,
-                replace=options.replace,
+                **{
+                    field.name: getattr(options, field.name)
+                    for field in fields(replay.ReplayOptions)
+                }
             ),
             report=lambda text: note(f'obbhbb: {text}'),
             progress=lambda messages, total: track(messages, 'converting', total, 'messages'),

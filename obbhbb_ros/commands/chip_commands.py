@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shlex
 from argparse import ArgumentParser
 from argparse import Namespace
 from pathlib import Path
@@ -87,8 +86,9 @@ def run_gallery(options: Namespace) -> int:
     received = read_received(outbox)
     if not received.chips and not received.problems:
         raise ValueError(f'{options.outbox}: no chips found')
-    command = f'obbhbb {shlex.join(options.arguments)}'
-    page = gallery_page(received, beside, outbox.name, limit=options.limit, command=command)
+    page = gallery_page(
+        received, beside, outbox.name, limit=options.limit, command=options.invocation
+    )
     write_text(options.output, page)
     for problem in received.problems:
         note(f'obbhbb: {problem}')

@@ -11,6 +11,7 @@ from pathlib import Path
 from obbhbb_ros.commands.shared_options import PARAMETERS
 from obbhbb_ros.commands.shared_options import add_bow_option
 from obbhbb_ros.commands.shared_options import add_end_options
+from obbhbb_ros.commands.shared_options import add_image_size_option
 from obbhbb_ros.commands.shared_options import add_number_options
 from obbhbb_ros.commands.shared_options import warn_of_ends
 from obbhbb_ros.commands.shared_options import without_garbage_collection
@@ -53,13 +54,7 @@ def add_convert_options(parser: ArgumentParser) -> None:
         action='store_true',
         help='also write length, width, theta, t_x, t_y and capped of each box',
     )
-    add(
-        '--image-size',
-        type=int,
-        nargs=2,
-        metavar=('W', 'H'),
-        help='size of every image, pixels; default: from labels or images',
-    )
+    add_image_size_option(parser, '; default: from labels or images')
     add(
         '--strict',
         action='store_true',
@@ -70,8 +65,9 @@ def add_convert_options(parser: ArgumentParser) -> None:
 def run_convert(options: Namespace) -> int:
     """Convert label files of oriented boxes to label files of axis-aligned boxes."""
     warn_of_ends(options)
-    ends = {'q_bow': options.q_bow, 'q_stern': options.q_stern}
-    rule = converter.HullRule(options.method, options.q, options.f, options.s, **ends)
+    rule = converter.HullRule(
+        options.method, options.q, options.f, options.s, options.q_bow, options.q_stern
+    )
     with without_garbage_collection():
         tally = convert_file(
             options.source,

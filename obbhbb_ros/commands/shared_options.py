@@ -6,6 +6,7 @@ from __future__ import annotations
 import gc
 from argparse import ArgumentParser
 from argparse import Namespace
+from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
@@ -43,27 +44,35 @@ def add_label_options(parser: ArgumentParser, count: str) -> None:
         metavar='FILE',
         help='labels with the reference boxes, matched by image and overlap',
     )
-    add(
+    add_image_size_option(parser, ', for normalised formats without images')
+    add_bow_option(parser, BOWS)
+
+
+def add_image_size_option(parser: ArgumentParser, purpose: str) -> None:
+    """Add the option for the size of the images; its help text ends with the purpose."""
+    parser.add_argument(
         '--image-size',
         type=int,
         nargs=2,
         metavar=('W', 'H'),
-        help='size of every image, pixels, for normalised formats without images',
+        help=f'size of every image, pixels{purpose}',
     )
-    add_bow_option(parser, BOWS)
 
 
 def add_bow_option(parser: ArgumentParser, sources: Sequence[str]) -> None:
     """Add the option that says where the bow of a ship is known."""
-    meanings = [
-        f'{source}: {meaning}' for source, meaning in BOW_MEANINGS.items() if source in sources
-    ]
-    parser.add_argument(
-        '--bow',
-        choices=sources,
-        default='none',
-        help=f'where the bow is known: {"; ".join(meanings)}; default: %(default)s',
+    meanings = '; '.join(
+        f'{name}: {text}' for name, text in BOW_MEANINGS.items() if name in sources
     )
+    add_choice_option(parser, 'bow', sources, 'none', f'where the bow is known: {meanings}')
+
+
+def add_choice_option(
+    parser: ArgumentParser, name: str, choices: Iterable[str], default: str, meaning: str
+) -> None:
+    """Add an option that takes one of some words."""
+    help_text = f'{meaning}; default: %(default)s'
+    parser.add_argument(f'--{name}', choices=tuple(choices), default=default, help=help_text)
 
 
 def add_end_options(parser: ArgumentParser) -> None:

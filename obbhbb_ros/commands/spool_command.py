@@ -43,7 +43,7 @@ def add_spool_options(parser: ArgumentParser) -> None:
         nargs='?',
         default='list',
         choices=tuple(SPOOL_ACTIONS),
-        help=' '.join(f'{name}: {each.__doc__}' for name, each in SPOOL_ACTIONS.items())
+        help=' '.join(f'{name}: {act.__doc__}' for name, act in SPOOL_ACTIONS.items())
         + ' Default: %(default)s',
     )
     add(
@@ -85,8 +85,8 @@ def add_spool_options(parser: ArgumentParser) -> None:
 def run_spool(options: Namespace) -> int:
     """List, check, revalue, delete or export the chips of a spool."""
     for name, action in _OF_ONE_ACTION.items():
-        given = getattr(options, name)
-        if action != options.action and given is not None and given is not False:
+        value = getattr(options, name)
+        if action != options.action and value is not None and value is not False:
             raise ValueError(f'{options.action}: takes no --{name}, it is for {action}')
     chips = ChipFilter(options.class_ids, options.ids, options.min_value, options.max_value)
     if options.spool.is_file() and options.action == 'export':

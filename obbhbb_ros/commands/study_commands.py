@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from argparse import ArgumentParser
 from argparse import Namespace
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from obbhbb_ros.commands.shared_options import PARAMETERS
+from obbhbb_ros.commands.shared_options import add_choice_option
 from obbhbb_ros.commands.shared_options import add_end_options
 from obbhbb_ros.commands.shared_options import add_label_options
 from obbhbb_ros.commands.shared_options import add_number_options
@@ -40,12 +40,7 @@ def add_evaluate_options(parser: ArgumentParser) -> None:
     add_label_options(parser, '+')
     add('--methods', nargs='+', metavar='METHOD', help=f'{", ".join(METHODS)}; default: all')
     meanings = '; '.join(f'{name}: {meaning}' for name, meaning in PROTOCOLS.items())
-    add(
-        '--protocol',
-        choices=(*PROTOCOLS, 'both'),
-        default='both',
-        help=f'{meanings}; default: %(default)s',
-    )
+    add_choice_option(parser, 'protocol', (*PROTOCOLS, 'both'), 'both', meanings)
     for name, meaning in PARAMETERS.items():
         add(
             f'--{name}',
@@ -102,38 +97,19 @@ def add_calibrate_options(parser: ArgumentParser) -> None:
     plan = calibration.DEFAULT_PLAN
     add_label_options(parser, '*')
     add('--synthetic', action='store_true', help="the paper's synthetic hulls instead of labels")
-    add(
-        '--method',
-        choices=rules.TUNABLE_METHODS,
-        default=plan.method,
-        help='method to calibrate; default: %(default)s',
-    )
+    add_choice_option(parser, 'method', rules.TUNABLE_METHODS, plan.method, 'method to calibrate')
     aims = '; '.join(f'{name}: {aim.summary}' for name, aim in calibration.OBJECTIVES.items())
-    add(
-        '--objective',
-        choices=tuple(calibration.OBJECTIVES),
-        default=plan.objective.name,
-        help=f'{aims}; default: %(default)s',
-    )
-    add(
-        '--grid',
-        choices=tuple(GRIDS),
-        default='paper',
-        help='settings to search; default: %(default)s',
-    )
+    add_choice_option(parser, 'objective', calibration.OBJECTIVES, plan.objective.name, aims)
+    add_choice_option(parser, 'grid', GRIDS, 'paper', 'settings to search')
     add(
         '--refine',
         action=argparse.BooleanOptionalAction,
         default=plan.refine,
         help='refine the best setting of the grid (default); --no-refine is Algorithm 2',
     )
-    add(
-        '--fit',
-        choices=tuple(_FITS),
-        default='auto',
-        help='whether to fit f and s beside q: auto: if they gain '
-        f'{calibration.MIN_GAIN:g} or more on held-out images; default: %(default)s',
-    )
+    gain = f'{calibration.MIN_GAIN:g} or more on held-out images'
+    fits = f'whether to fit f and s beside q: auto: if they gain {gain}'
+    add_choice_option(parser, 'fit', _FITS, 'auto', fits)
     add_number_options(
         parser,
         Coverage(),
@@ -143,13 +119,11 @@ def add_calibrate_options(parser: ArgumentParser) -> None:
         },
     )
     add_number_options(parser, plan, {'seed': 'seed of all random splits'})
-    add(
-        '--exchangeable',
-        choices=('ships', 'images'),
-        default='ships',
-        help='objective coverage: what the guarantee assumes to be exchangeable; use images if '
-        'the ships of an image are alike; default: %(default)s',
+    exchangeable = (
+        'objective coverage: what the guarantee assumes to be exchangeable; use images if '
+        'the ships of an image are alike'
     )
+    add_choice_option(parser, 'exchangeable', ('ships', 'images'), 'ships', exchangeable)
     add(
         '--folds',
         type=int,
@@ -192,7 +166,7 @@ def run_calibrate(options: Namespace) -> int:
     text = tables.calibration_text(result)
     print(text)
     if options.output:
-        notes = [f'Written by: obbhbb {shlex.join(options.arguments)}', *text.splitlines()]
+        notes = [f'Written by: {options.invocation}', *text.splitlines()]
         # The class names of synthetic ships are not those of any detector.
         rule_of_class = {} if options.synthetic else result.rule_of_class
         write_text(options.output, yaml_text(result.rule, rule_of_class, notes))
@@ -222,11 +196,7 @@ def run_report(options: Namespace) -> int:
     ships = read_labelled_ships(options)
     title = ', '.join(path.name for path in options.labels)
     page = report_page(
-        ships,
-        title,
-        gallery=options.gallery,
-        seed=options.seed,
-        command=f'obbhbb {shlex.join(options.arguments)}',
+        ships, title, gallery=options.gallery, seed=options.seed, command=options.invocation
     )
     write_text(options.output, page)
     print(f'written: {options.output}')

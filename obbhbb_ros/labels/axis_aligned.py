@@ -8,7 +8,6 @@ from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Mapping
 from dataclasses import dataclass
-from dataclasses import fields
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -19,7 +18,6 @@ from obbhbb_ros.geometry.boxes import Defect
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.converter import NO_CAPS
 from obbhbb_ros.geometry.converter import Caps
-from obbhbb_ros.geometry.converter import Conversion
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.geometry.converter import convert_with_diagnostics
@@ -114,16 +112,11 @@ def convert_image(
     `bow` says how the bow is known, as in `ImageLabels.boxes`.
     """
     boxes = labels.boxes(bow)
-    conversion = convert_with_diagnostics(boxes, rule, caps) if diagnostics else None
-    xyxy = convert_by_rule(boxes, rule, caps) if conversion is None else conversion.xyxy
+    xyxy = convert_by_rule(boxes, rule, caps)
     # The area must be finite too, since COCO files contain it.
     with np.errstate(over='ignore', invalid='ignore'):
         finite = np.isfinite((xyxy[:, 2:] - xyxy[:, :2]).prod(axis=1))
     rows = np.flatnonzero(finite)
-    if conversion is not None:
-        conversion = Conversion(
-            *(getattr(conversion, field.name)[rows] for field in fields(conversion))
-        )
     converted = ImageBoxes(
         image=labels.image,
         xyxy=xyxy[rows],
@@ -132,7 +125,7 @@ def convert_image(
         scores=labels.scores[rows],
         size=labels.size,
         source=labels.source,
-        diagnostics=conversion,
+        diagnostics=convert_with_diagnostics(boxes[rows], rule, caps) if diagnostics else None,
     )
     left_out = {row: _reason(boxes, row) for row in np.flatnonzero(~finite).tolist()}
     bows = int(np.count_nonzero(boxes.bow))

@@ -26,6 +26,7 @@ from collections.abc import Callable
 from collections.abc import Collection
 from collections.abc import Iterator
 from collections.abc import Mapping
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ from obbhbb_ros.labels import text
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.image_labels import ImageSize
+from obbhbb_ros.labels.label_file import NO_REFERENCE
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import Item
 from obbhbb_ros.labels.label_file import LabelFile
@@ -122,22 +124,17 @@ def _annotation(
         class_id = documents.plain_text(_id(annotation, 'category_id'))
     else:
         class_id = categories[_id_in(categories, annotation, 'category_id')]
+    instance = documents.plain_text(annotation.get('id'))
     score, bbox = annotation.get('score'), annotation.get('bbox')
-    box = Box(
-        corners=(),
-        class_id=class_id,
-        id=documents.plain_text(annotation.get('id')),
-        score=1.0 if score is None else documents.json_number(score, 'score'),
-    )
+    score = 1.0 if score is None else documents.json_number(score, 'score')
+    reference: Sequence[float] = NO_REFERENCE
     if bbox is not None:
-        bounds = shapes.bounds_of_xywh(*documents.json_numbers(bbox, 4, 'bbox'))
-        box = box._replace(reference=bounds)
+        reference = shapes.bounds_of_xywh(*documents.json_numbers(bbox, 4, 'bbox'))
     rings = _rings(annotation.get('segmentation'))
-    if rings:
-        return shapes.Outlined(image, box, rings)
-    if bbox is None:
+    if not rings and bbox is None:
         raise ValueError("neither 'segmentation' nor 'bbox'")
-    return shapes.Outlined(image, box._replace(corners=shapes.upright_corners(box.reference)))
+    corners = () if rings else shapes.upright_corners(reference)
+    return shapes.Outlined(image, Box(corners, class_id, instance, score, reference), rings)
 
 
 def _rings(segmentation: object) -> list[FloatArray]:

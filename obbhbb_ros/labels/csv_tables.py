@@ -184,17 +184,10 @@ def _write(path: Path, images: list[ImageLabels]) -> None:
 
 
 def _label_rows(labels: ImageLabels) -> Iterator[list[str]]:
-    columns = (
-        labels.ids,
-        labels.class_ids,
-        labels.corners.reshape(-1, 8).tolist(),
-        labels.reference.tolist(),
-        labels.hulls,
-        labels.scores.tolist(),
-    )
-    for instance, class_id, corners, reference, hull, score in zip(*columns, strict=True):
-        numbers = map(_field, (*corners, *reference))
-        yield [labels.image, instance, class_id, *numbers, _mask(hull), _field(score)]
+    numbers = np.hstack((labels.corners.reshape(-1, 8), labels.reference)).tolist()
+    columns = labels.ids, labels.class_ids, numbers, labels.hulls, labels.scores.tolist()
+    for instance, class_id, row, hull, score in zip(*columns, strict=True):
+        yield [labels.image, instance, class_id, *map(_field, row), _mask(hull), _field(score)]
 
 
 def _mask(hull: FloatArray | None) -> str:

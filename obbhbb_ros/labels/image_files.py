@@ -47,12 +47,10 @@ def _find_image(labels: ImageLabels, only_one: bool) -> Path | None:
 
 
 def _image_of(labels: Path, stem: str) -> Path | None:
-    for folder in _image_folders(labels.absolute().parent):
-        for suffix in IMAGE_SUFFIXES:
-            for name in (f'{stem}{suffix}', f'{stem}{suffix.upper()}'):
-                if (folder / name).is_file():
-                    return folder / name
-    return None
+    names = [f'{stem}{end}' for suffix in IMAGE_SUFFIXES for end in (suffix, suffix.upper())]
+    folders = _image_folders(labels.absolute().parent)
+    paths = (folder / name for folder in folders for name in names)
+    return next((path for path in paths if path.is_file()), None)
 
 
 def _image_folders(folder: Path) -> Iterator[Path]:

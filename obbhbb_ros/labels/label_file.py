@@ -99,12 +99,13 @@ class LabelFile:
     image_size : tuple of int or None
         Width and height of every image in pixels, if the caller gave it.
     on_error : callable
-        Gets a LabelError for each malformed record, which is left out.
+        Gets a LabelError for each malformed record, which is left out; by default, the error is
+        raised.
     """
 
     path: Path
-    image_size: ImageSize | None
-    on_error: OnError
+    image_size: ImageSize | None = None
+    on_error: OnError = raise_error
 
     def error(self, message: str, line: int | None = None) -> FileError:
         """Return the error to raise if the file as a whole cannot be used."""
@@ -123,25 +124,24 @@ class LabelFile:
                 yield line, place, item
 
     def image(self, name: str, boxes: Sequence[Box], size: ImageSize | None = None) -> ImageLabels:
-        """Collect the boxes of an image; `size` is used if the caller gave no `image_size`."""
-        return assemble(name, boxes, self.image_size or size, self.path)
+        """
+        Collect the N boxes of an image, which may be none, in arrays of N rows.
+
+        `size` is that of the image if `image_size` is None.
+        """
+        return ImageLabels(
+            image=name,
+            corners=np.array([box.corners for box in boxes], np.float64).reshape(-1, 4, 2),
+            class_ids=tuple(box.class_id for box in boxes),
+            ids=tuple(box.id for box in boxes),
+            scores=np.array([box.score for box in boxes], np.float64),
+            reference=np.array([box.reference for box in boxes], np.float64).reshape(-1, 4),
+            hulls=tuple(box.hull for box in boxes),
+            size=self.image_size or size,
+            source=self.path,
+            bow=np.array([box.bow for box in boxes]) if any(box.bow for box in boxes) else None,
+        )
 
     def images(self, boxes: Mapping[str, Sequence[Box]]) -> Iterator[ImageLabels]:
         """Collect the boxes of images by name."""
         return (self.image(name, rows) for name, rows in boxes.items())
-
-
-def assemble(image: str, boxes: Sequence[Box], size: ImageSize | None, source: Path) -> ImageLabels:
-    """Collect the N boxes of an image, which may be none, in arrays of N rows."""
-    return ImageLabels(
-        image=image,
-        corners=np.array([box.corners for box in boxes], np.float64).reshape(-1, 4, 2),
-        class_ids=tuple(box.class_id for box in boxes),
-        ids=tuple(box.id for box in boxes),
-        scores=np.array([box.score for box in boxes], np.float64),
-        reference=np.array([box.reference for box in boxes], np.float64).reshape(-1, 4),
-        hulls=tuple(box.hull for box in boxes),
-        size=size,
-        source=source,
-        bow=np.array([box.bow for box in boxes]) if any(box.bow for box in boxes) else None,
-    )

@@ -164,12 +164,8 @@ def feature_record(
     if not rings:
         raise ValueError('the polygon is empty')
     lower = {str(name).lower(): value for name, value in properties.items()}
-    box = Box(
-        corners=(),
-        class_id=_first(lower, CLASS),
-        id=_first(lower, INSTANCE),
-        score=parse_score(_first(lower, SCORE)),
-    )
+    score = parse_score(_first(lower, SCORE))
+    box = Box((), _first(lower, CLASS), _first(lower, INSTANCE), score)
     return Outlined(_first(lower, IMAGE) or default_image, box, rings)
 
 

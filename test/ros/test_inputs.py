@@ -25,7 +25,7 @@ from obbhbb_ros import convert
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.label_file import Box
-from obbhbb_ros.labels.label_file import assemble
+from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.nodes.play_detections import yolo_message
 
@@ -114,7 +114,7 @@ def test_no_box_of_unknown_bow_gets_one_on_the_way_not_even_a_square() -> None:
         Box(tuple(row), 'ship', bow=bow)
         for row, bow in zip(corners.reshape(-1, 8).tolist(), bow_known, strict=True)
     ]
-    labels = assemble('harbour', ships, None, Path('harbour.txt'))
+    labels = LabelFile(Path('harbour.txt')).image('harbour', ships)
     boxes = labels.boxes('labels')
     message = detections_message(labels, Header(), 'labels')
     received = OrientedBoxes.from_xywhr(rows_of(message), bow=True)

@@ -24,7 +24,7 @@ from obbhbb_ros.labels.axis_aligned import convert_file
 from obbhbb_ros.labels.axis_aligned import convert_image
 from obbhbb_ros.labels.axis_aligned import convert_labels
 from obbhbb_ros.labels.label_file import Box
-from obbhbb_ros.labels.label_file import assemble
+from obbhbb_ros.labels.label_file import LabelFile
 
 TARGETS = [
     ('yolo', 'out'), ('coco', 'out.json'), ('voc', 'out'), ('geojson', 'out.geojson'),
@@ -239,7 +239,7 @@ def test_the_command_runs_as_a_program_and_is_quiet_in_a_pipe(source: Path, tmp_
 
 def test_a_box_that_overflows_is_left_out_with_the_reason() -> None:
     huge = Box((-1e308, 0, 1e308, 0, 1e308, 1e308, -1e308, 1e308), 'ship')
-    labels = assemble('P1', [huge, Box((0, 0, 4, 0, 4, 2, 0, 2), 'ship', 'b')], None, Path('x'))
+    labels = LabelFile(Path('x')).image('P1', [huge, Box((0, 0, 4, 0, 4, 2, 0, 2), 'ship', 'b')])
     converted = convert_image(labels, HullRule(s=2.0), diagnostics=True)
     assert converted.boxes.ids == ('b',)
     assert converted.boxes.diagnostics is not None
@@ -249,7 +249,7 @@ def test_a_box_that_overflows_is_left_out_with_the_reason() -> None:
 
 def test_defects_are_counted_by_reason() -> None:
     nan, empty = Box((np.nan,) * 8, 'ship'), Box((1.0,) * 8, 'ship')
-    labels = assemble('P1', [nan, empty, empty], None, Path('x'))
+    labels = LabelFile(Path('x')).image('P1', [nan, empty, empty])
     lines: list[str] = []
     _, tally = convert_labels([labels], HullRule(), report=lines.append)
     assert tally.left_out == {'not finite': 1, 'empty': 2}

@@ -12,7 +12,7 @@ import pytest
 
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels.label_file import Box
-from obbhbb_ros.labels.label_file import assemble
+from obbhbb_ros.labels.label_file import LabelFile
 
 SHIP = Box((10.0, 20.0, 50.0, 20.0, 50.0, 30.0, 10.0, 30.0), 'ship')
 
@@ -43,7 +43,7 @@ def make() -> Make:
         *boxes: Box,
         size: tuple[int, int] | None = None,
     ) -> ImageLabels:
-        return assemble(image, boxes or (SHIP,), size, Path('made.by'))
+        return LabelFile(Path('made.by'), size).image(image, boxes or (SHIP,))
 
     return _make
 

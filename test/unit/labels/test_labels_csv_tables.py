@@ -18,7 +18,7 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.labels.label_file import NO_REFERENCE
 from obbhbb_ros.labels.label_file import Box
-from obbhbb_ros.labels.label_file import assemble
+from obbhbb_ros.labels.label_file import LabelFile
 
 if TYPE_CHECKING:
     from conftest import Make
@@ -227,11 +227,9 @@ BOXES = st.builds(
 )
 IMAGES = st.lists(
     st.builds(
-        assemble,
+        LabelFile(Path('made.by')).image,
         TEXT.filter(bool),
         st.lists(BOXES, max_size=4),
-        st.none(),
-        st.just(Path('made.by')),
     ),
     max_size=4,
     unique_by=lambda labels: labels.image,

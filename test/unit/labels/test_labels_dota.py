@@ -16,7 +16,7 @@ from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.labels.label_file import Box
-from obbhbb_ros.labels.label_file import assemble
+from obbhbb_ros.labels.label_file import LabelFile
 
 if TYPE_CHECKING:
     from conftest import Make
@@ -119,11 +119,9 @@ CATEGORIES = st.text(st.characters(exclude_categories=('Cs', 'Z', 'Cc'), exclude
 BOXES = st.tuples(st.tuples(*[NUMBERS] * 8), CATEGORIES).map(lambda fields: Box(*fields))
 IMAGES = st.lists(
     st.builds(
-        assemble,
+        LabelFile(Path('made.by')).image,
         st.from_regex(r'[A-Z][a-z0-9_-]{0,20}(\.rf\.[0-9a-f]{4})?', fullmatch=True),
         st.lists(BOXES, max_size=5),
-        st.none(),
-        st.just(Path('made.by')),
     ),
     min_size=1,
     max_size=4,

@@ -12,8 +12,9 @@ import pytest
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels.label_file import Box
-from obbhbb_ros.labels.label_file import assemble
+from obbhbb_ros.labels.label_file import LabelFile
 
+FILE = LabelFile(Path('P0706.txt'))
 FIELDS = {
     'image': 'P0706',
     'corners': np.zeros((2, 4, 2)),
@@ -53,21 +54,18 @@ def test_fields_that_disagree_are_refused(field: str, value: object) -> None:
 def test_the_bow_is_where_the_labels_say_or_at_every_first_edge_or_unknown() -> None:
     upright = (0, 0, 4, 0, 4, 9, 0, 9)
     boxes = [Box(upright, 'ship', bow=True), Box(upright, 'ship'), Box((*upright[2:], 0, 0), '')]
-    labels = assemble('P0706', boxes, None, Path('P0706.txt'))
+    labels = FILE.image('P0706', boxes)
     assert not labels.boxes().bow.any()
     assert labels.boxes('labels').bow.tolist() == [True, False, False]
     # The first edge of the third box is a long side.
     assert labels.boxes('first-edge').bow.tolist() == [True, True, False]
-    assert assemble('P0706', boxes[1:], None, Path('P0706.txt')).boxes('labels').bow.tolist() == [
-        False,
-        False,
-    ]
+    assert FILE.image('P0706', boxes[1:]).boxes('labels').bow.tolist() == [False, False]
     with pytest.raises(ValueError, match=r'bow must be one of none, labels, first-edge'):
         labels.boxes('theta')
 
 
 def test_an_image_without_boxes_keeps_the_shapes() -> None:
-    labels = assemble('P0706', [], (640, 480), Path('P0706.txt'))
+    labels = FILE.image('P0706', [], (640, 480))
     assert labels.corners.shape == (0, 4, 2)
     assert labels.scores.shape == (0,)
     assert labels.reference.shape == (0, 4)

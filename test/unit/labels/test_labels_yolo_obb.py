@@ -15,7 +15,7 @@ from obbhbb_ros.labels import image_files
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.labels.label_file import Box
-from obbhbb_ros.labels.label_file import assemble
+from obbhbb_ros.labels.label_file import LabelFile
 
 if TYPE_CHECKING:
     from conftest import Make
@@ -238,7 +238,7 @@ def test_a_file_is_written_normalised(make: Make, tmp_path: Path) -> None:
 
 
 def test_an_image_without_boxes_needs_no_size(tmp_path: Path) -> None:
-    write_labels(tmp_path, [assemble('a', [], None, Path('made.by'))], 'yolo_obb')
+    write_labels(tmp_path, [LabelFile(Path('made.by')).image('a', [])], 'yolo_obb')
     assert (tmp_path / 'a.txt').read_text() == ''
 
 
