@@ -7,9 +7,11 @@ The parameters of the nodes are made from these fields, and the dataclass checks
 
 from __future__ import annotations
 
+from dataclasses import Field
 from dataclasses import dataclass
 from dataclasses import field
 from dataclasses import fields
+from inspect import cleandoc
 from numbers import Real
 from typing import Any
 from typing import TypeAlias
@@ -91,7 +93,9 @@ def require_number(name: str, value: float) -> float:
 Limits: TypeAlias = Range | Choices
 
 
-def setting(default: T, meaning: str, limits: Limits | None = None) -> T:
+def setting(
+    default: T, meaning: str, limits: Limits | None = None, *, read_only: bool = False
+) -> T:
     """
     Make a field of a dataclass of settings.
 
@@ -103,8 +107,11 @@ def setting(default: T, meaning: str, limits: Limits | None = None) -> T:
         One or two sentences with the unit.
     limits : Range or Choices, optional
         The values that it takes.
+    read_only : bool
+        Whether the parameter of a node that is made from it can only be set at start.
     """
-    made: Any = field(default=default, metadata={'meaning': meaning, 'limits': limits})
+    metadata = {'meaning': meaning, 'limits': limits, 'read_only': read_only}
+    made: Any = field(default=default, metadata=metadata)
     return made
 
 
@@ -120,9 +127,20 @@ class CheckedSettings:
         If a value that must be a number is none.
     """
 
+    def __init_subclass__(cls) -> None:
+        """List the fields of a subclass, with their meaning, in its docstring, for `help`."""
+        items = {**getattr(cls, '__dataclass_fields__', {}), **vars(cls)}
+        attributes = [
+            f'{name}\n    {item.metadata["meaning"]}'
+            for name, item in items.items()
+            if isinstance(item, Field)
+        ]
+        text = cleandoc(cls.__doc__ or '')
+        cls.__doc__ = '\n'.join((text, '', 'Attributes', '----------', *attributes))
+
     def __post_init__(self) -> None:
         """Check every value."""
         for item in fields(self):  # type: ignore[arg-type]
-            value, limits = getattr(self, item.name), item.metadata.get('limits')
+            value, limits = getattr(self, item.name), item.metadata['limits']
             if limits is not None and value is not None:
                 limits.check(item.name, value)

@@ -46,16 +46,9 @@ class HullRule(CheckedSettings):
     """
     A conversion rule with its shape parameters.
 
-    Attributes
-    ----------
-    method : str
-        A key of `obbhbb_ros.geometry.methods.METHODS`.
-    q, f, s : float
-        Shape exponent, fullness and shrink factor. With a known bow, f and s scale the hull on each
-        side of the oriented box's centre.
-    q_bow, q_stern : float or None
-        Shape exponents of the two ends of a hull whose bow is known; None: q. Only `superellipse`
-        uses them; the other methods ignore the bow.
+    With a known bow, `f` and `s` scale the hull on each side of the oriented box's centre, and
+    `q_bow` and `q_stern`, if they are not None, replace `q` at the two ends. Only `superellipse`
+    uses these; the other methods ignore the bow.
 
     Raises
     ------
@@ -72,7 +65,7 @@ class HullRule(CheckedSettings):
     ValueError: q must be 1 to inf, not 0.5
     """
 
-    method: str = 'superellipse'
+    method: str = setting('superellipse', 'A key of `obbhbb_ros.geometry.methods.METHODS`.')
     q: float = setting(
         3.0,
         'Shape exponent of the hull: 1 is a rhombus, 2 an ellipse, infinity (.inf) a rectangle.',

@@ -7,7 +7,6 @@ import operator
 from array import array
 from collections.abc import Callable
 from collections.abc import Iterator
-from collections.abc import Mapping
 from collections.abc import Sequence
 from importlib.resources import as_file
 from importlib.resources import files
@@ -74,14 +73,14 @@ class PlayDetections(Node):
         self._live_parameters = LiveParameters[PlayerSettings](
             self, PLAY_DETECTIONS, internals.parameters_given(self)
         )
-        values: dict[str, Any] = self._live_parameters.values()
-        self._output_type = INPUT_TYPES[values['output_type']]
-        self._wanted = values['wait_for_subscribers']
-        self._period = 1.0 / values['rate']
+        settings = self._live_parameters.settings
+        self._output_type = INPUT_TYPES[settings.output_type]
+        self._wanted = settings.wait_for_subscribers
+        self._period = 1.0 / settings.rate
         self._skipped = 0
-        self._images = list(self._read(values))
+        self._images = list(self._read(settings))
         if not self._images:
-            raise ValueError(f'no image to play in {values["path"]}')
+            raise ValueError(f'no image to play in {settings.path}')
         self._files = find_images(self._images)
         self._position = 0
         self._subscribers: list[int] = []
@@ -100,13 +99,13 @@ class PlayDetections(Node):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
-    def _read(self, values: Mapping[str, Any]) -> Iterator[ImageLabels]:
+    def _read(self, settings: PlayerSettings) -> Iterator[ImageLabels]:
         """Read the labels; malformed records are reported, counted and left out."""
-        size = (values['image_width'], values['image_height'])
-        if values['path']:
+        size = (settings.image_width, settings.image_height)
+        if settings.path:
             yield from read_labels(
-                Path(values['path']).expanduser(),
-                values['format'] or None,
+                Path(settings.path).expanduser(),
+                settings.format or None,
                 image_size=size if all(size) else None,
                 on_error=self._skip,
             )

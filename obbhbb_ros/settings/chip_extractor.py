@@ -15,12 +15,9 @@ from obbhbb_ros.limits import Range
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
 from obbhbb_ros.settings.common import folder_of
 from obbhbb_ros.settings.parameters import Parameter
-from obbhbb_ros.settings.parameters import ParameterGroup
 from obbhbb_ros.settings.parameters import ParameterTable
-
-_CODEC = ParameterGroup(CodecSettings)
-_BUDGET = ParameterGroup(BudgetSettings, 'budget.')
-_CACHE = ParameterGroup(PairLimits, 'cache.')
+from obbhbb_ros.settings.parameters import rows_of
+from obbhbb_ros.settings.parameters import settings_of
 
 
 @dataclass(frozen=True)
@@ -37,9 +34,9 @@ class ChipSettings:
 def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
     """Make settings for `chip_extractor`."""
     return ChipSettings(
-        codec=_CODEC.build(values),
-        budget=_BUDGET.build(values),
-        pairing=_CACHE.build(values),
+        codec=settings_of(CodecSettings, values),
+        budget=settings_of(BudgetSettings, values, 'budget.'),
+        pairing=settings_of(PairLimits, values, 'cache.'),
         spool_path=folder_of(values, 'spool.path'),
         spool_max_bytes=values['spool.max_bytes'],
     )
@@ -48,9 +45,9 @@ def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
 CHIP_EXTRACTOR = ParameterTable(
     (
         *COMMON_WITH_INPUT,
-        *_CODEC.rows,
-        *_BUDGET.rows,
-        *_CACHE.rows,
+        *rows_of(CodecSettings),
+        *rows_of(BudgetSettings, 'budget.'),
+        *rows_of(PairLimits, 'cache.'),
         Parameter(
             'spool.path',
             '',

@@ -9,6 +9,7 @@ from typing import Any
 
 from obbhbb_ros.limits import Range
 from obbhbb_ros.settings.parameters import Parameter
+from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 
 AUTOSTART = Parameter(
     'autostart',
@@ -51,6 +52,16 @@ COMMON = (AUTOSTART, LOCK, HARDWARE_ID, STATE_PATH, WATCHDOG)
 """Parameters of every managed node."""
 COMMON_WITH_INPUT = (*COMMON, INPUT_TIMEOUT)
 """Parameters of every managed node that has an input."""
+
+
+def size_rows(prefix: str, what: str) -> tuple[Parameter, ...]:
+    """Make the parameters for the width and the height of something, pixels; 0 if it is unset."""
+    return tuple(
+        Parameter(
+            f'{prefix}_{side}', 0, f'{side.capitalize()} of {what}', Range(0, IMAGE_SIZE_LIMIT)
+        )
+        for side in ('width', 'height')
+    )
 
 
 def folder_of(values: Mapping[str, Any], name: str) -> str:

@@ -11,9 +11,8 @@ from typing import Any
 from obbhbb_ros.geometry.input_frame import FITS
 from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.limits import Choices
-from obbhbb_ros.limits import Range
+from obbhbb_ros.settings.common import size_rows
 from obbhbb_ros.settings.parameters import Parameter
-from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 TOPICS = ' or '.join(
@@ -22,28 +21,18 @@ TOPICS = ' or '.join(
 )
 """The topics of detections, each with its message types."""
 
-INPUT_TYPE = Parameter(
-    'input_type',
-    next(iter(INPUT_TYPES)),
-    f'Message type of the input. The topic is {TOPICS}.',
-    Choices(tuple(INPUT_TYPES)),
-    read_only=True,
-)
 DETECTION_INPUT = (
-    INPUT_TYPE,
+    Parameter(
+        'input_type',
+        next(iter(INPUT_TYPES)),
+        f'Message type of the input. The topic is {TOPICS}.',
+        Choices(tuple(INPUT_TYPES)),
+        read_only=True,
+    ),
     Parameter(
         'angle_unit', 'rad', 'Unit of bbox.center.theta in the input.', Choices(('rad', 'deg'))
     ),
-    *(
-        Parameter(
-            f'input_{side}',
-            0,
-            f"{side.capitalize()} of the network's input, pixels, if the detections are in its "
-            'coordinates.',
-            Range(0, IMAGE_SIZE_LIMIT),
-        )
-        for side in ('width', 'height')
-    ),
+    *size_rows('input', "the network's input, pixels, if the detections are in its coordinates."),
     Parameter(
         'input_fit',
         'none',

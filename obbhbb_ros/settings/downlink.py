@@ -16,11 +16,10 @@ from obbhbb_ros.limits import Range
 from obbhbb_ros.settings.common import COMMON
 from obbhbb_ros.settings.common import folder_of
 from obbhbb_ros.settings.parameters import Parameter
-from obbhbb_ros.settings.parameters import ParameterGroup
 from obbhbb_ros.settings.parameters import ParameterTable
+from obbhbb_ros.settings.parameters import rows_of
+from obbhbb_ros.settings.parameters import settings_of
 from obbhbb_ros.spool.feeder import ReleaseSettings
-
-_LINK = ParameterGroup(LinkSettings, 'budget.')
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ def _downlink_settings(values: Mapping[str, Any]) -> DownlinkSettings:
         outbox_path=outbox,
         always_in_contact=values['contact'] == 'always',
         release=ReleaseSettings(
-            budget=_LINK.build(values),
+            budget=settings_of(LinkSettings, values, 'budget.'),
             levels=tuple(levels),
             removal=values['acknowledge'] == 'removal',
             max_bytes=values['outbox.max_bytes'],
@@ -73,7 +72,7 @@ DOWNLINK = ParameterTable(
             '`removal` from there.',
             Choices(('release', 'removal')),
         ),
-        *_LINK.rows,
+        *rows_of(LinkSettings, 'budget.'),
         Parameter(
             'spool.path', '', 'Folder in which chip_extractor stores the chips.', read_only=True
         ),

@@ -21,18 +21,20 @@ from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.geometry.methods import ONBOARD_METHODS
+from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Choices
 from obbhbb_ros.limits import Range
+from obbhbb_ros.limits import setting
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
+from obbhbb_ros.settings.common import size_rows
 from obbhbb_ros.settings.detection_input import DETECTION_INPUT
 from obbhbb_ros.settings.detection_input import input_frame
 from obbhbb_ros.settings.detection_input import theta_scale
 from obbhbb_ros.settings.parameters import MAX_CLASSES
 from obbhbb_ros.settings.parameters import Parameter
-from obbhbb_ros.settings.parameters import ParameterGroup
 from obbhbb_ros.settings.parameters import ParameterTable
-from obbhbb_ros.settings.parameters import parameter_of
-from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
+from obbhbb_ros.settings.parameters import rows_of
+from obbhbb_ros.settings.parameters import settings_of
 
 
 @dataclass(frozen=True)
@@ -88,16 +90,53 @@ class ConversionSettings:
     compare_outer: bool
 
 
-_CROP = ParameterGroup(CropSettings, 'crop.')
 # A class with this value for its crop regions has that of the node.
 _OF_NODE = -1.0
+
+
+@dataclass(frozen=True)
+class ClassSettings(CheckedSettings):
+    """The parameters of a class; ValueError if a value is out of range."""
+
+    method: str = setting(
+        '', "method of this class. Empty: the node's.", Choices(('', *ONBOARD_METHODS))
+    )
+    q: float = setting(0.0, "q of this class. 0: the node's.", Range(0.0, Q_RANGE.high))
+    q_bow: float = setting(0.0, "q_bow of this class. 0: the node's.", Range(0.0, Q_RANGE.high))
+    q_stern: float = setting(0.0, "q_stern of this class. 0: the node's.", Range(0.0, Q_RANGE.high))
+    f: float = setting(0.0, "f of this class. 0: the node's.", Range(0.0, F_RANGE.high))
+    s: float = setting(0.0, "s of this class. 0: the node's.", Range(0.0, S_RANGE.high))
+    crop_q: float = setting(
+        _OF_NODE,
+        "crop.q of this class. -1: the node's, 0: the box alone.",
+        Range(_OF_NODE, Q_RANGE.high),
+    )
+    min_score: float = setting(
+        _OF_NODE,
+        "crop.min_score of this class. -1: the node's, 0: any score.",
+        Range(_OF_NODE, 1e6),
+    )
+    weight: float = setting(
+        1.0,
+        'Factor on the scores of this class when crop regions are ranked. 0: no crop regions.',
+        Range(0.0, 1e6),
+    )
+
+    def __post_init__(self) -> None:
+        """Check every value; the only negative one is -1."""
+        super().__post_init__()
+        for name, value in (('crop_q', self.crop_q), ('min_score', self.min_score)):
+            if _OF_NODE < value < 0.0:
+                raise ValueError(f'{name} must be -1, or 0 or more, not {value}')
+        _require_crop_q('crop_q', self.crop_q)
 
 
 def _conversion_settings(values: Mapping[str, Any]) -> ConversionSettings:
     """Make settings for `obb_to_hbb`."""
     class_ids = list(filter(None, values['class_ids']))
     prefixes = [f'classes.{class_id}.' for class_id in class_ids]
-    min_scores = [_crop_value(values, prefix, 'min_score') for prefix in prefixes]
+    classes = [settings_of(ClassSettings, values, prefix) for prefix in prefixes]
+    min_scores = [values['crop.min_score'], *(of_class.min_score for of_class in classes)]
     return ConversionSettings(
         rules=(_rule(values), *(_rule(values, prefix) for prefix in prefixes)),
         rule_of_class={class_id: number for number, class_id in enumerate(class_ids, 1)},
@@ -108,10 +147,10 @@ def _conversion_settings(values: Mapping[str, Any]) -> ConversionSettings:
         input_frame=input_frame(values),
         clip_boxes=values['clip_boxes'],
         keep_invalid=values['invalid_policy'] == 'keep',
-        crop=_CROP.build(values),
-        crop_rules=_crop_rules(values, prefixes),
-        weights=np.array([1.0, *(values[f'{prefix}weight'] for prefix in prefixes)]),
-        min_scores=np.array([values['crop.min_score'], *min_scores]),
+        crop=settings_of(CropSettings, values, 'crop.'),
+        crop_rules=_crop_rules(values['crop.q'], classes),
+        weights=np.array([1.0, *(of_class.weight for of_class in classes)]),
+        min_scores=np.array(_with_values_of_node(min_scores)),
         compare_outer=values['crop.compare_outer'],
     )
 
@@ -119,50 +158,40 @@ def _conversion_settings(values: Mapping[str, Any]) -> ConversionSettings:
 def _rule(values: Mapping[str, Any], prefix: str = '') -> HullRule:
     """Make the rule of the node, or of a class, which has the node's values where it has none."""
     names = [field.name for field in fields(HullRule)]
-    arguments = {name: values[prefix + name] or values[name] for name in names}
-    for name in ('q_bow', 'q_stern'):
-        arguments[name] = arguments[name] or None
-    try:
-        return HullRule(**arguments)
-    except ValueError as error:
-        raise ValueError(f'{prefix}{error}') from None
+    merged = {prefix + name: values[prefix + name] or values[name] or None for name in names}
+    return settings_of(HullRule, merged, prefix)
 
 
-def _crop_value(values: Mapping[str, Any], prefix: str, name: str) -> float:
-    """Return the minimum score or shape exponent for the crop regions of a class."""
-    value: float = values[prefix + name]
-    if _OF_NODE < value < 0.0:
-        raise ValueError(f'{prefix}{name} must be -1, or 0 or more, not {value}')
-    return values[f'crop.{name.removeprefix("crop_")}'] if value == _OF_NODE else value
-
-
-def _crop_rules(values: Mapping[str, Any], prefixes: Sequence[str]) -> tuple[HullRule | None, ...]:
+def _crop_rules(q_of_node: float, classes: Sequence[ClassSettings]) -> tuple[HullRule | None, ...]:
     """Make the hulls that crop regions enclose, None where they enclose the box alone."""
-    qs = {f'{prefix}crop_q': _crop_value(values, prefix, 'crop_q') for prefix in prefixes}
-    rules = []
-    for name, q in {'crop.q': values['crop.q'], **qs}.items():
-        if 0.0 < q < Q_RANGE.low:
-            raise ValueError(f'{name} must be 0, or {Q_RANGE}, not {q}')
-        rules.append(HullRule(q=q) if q else None)
-    return tuple(rules) if any(rules) else ()
+    _require_crop_q('crop.q', q_of_node)
+    qs = _with_values_of_node([q_of_node, *(of_class.crop_q for of_class in classes)])
+    return tuple(HullRule(q=q) if q else None for q in qs) if any(qs) else ()
+
+
+def _require_crop_q(name: str, q: float) -> None:
+    """Raise ValueError with the name if a shape exponent is between 0 and 1."""
+    if 0.0 < q < Q_RANGE.low:
+        raise ValueError(f'{name} must be 0, or {Q_RANGE}, not {q}')
+
+
+def _with_values_of_node(values: Sequence[float]) -> list[float]:
+    """Give the classes the value of the node, the first one, where they have none."""
+    return [values[0] if value == _OF_NODE else value for value in values]
 
 
 def _caps(values: Mapping[str, Any]) -> Caps:
     """Return the caps in pixels."""
     metres_per_pixel = values['ground_sample_distance'] or 1.0
-    return Caps(
-        *(
-            values[name] / metres_per_pixel if values[name] else None
-            for name in ('max_length', 'max_width')
-        )
-    )
+    maxima = (values['max_length'], values['max_width'])
+    return Caps(*(maximum / metres_per_pixel if maximum else None for maximum in maxima))
 
 
 _ROWS = (
     *COMMON_WITH_INPUT,
     *DETECTION_INPUT,
     Parameter('method', HullRule.method, 'Conversion rule.', Choices(ONBOARD_METHODS)),
-    *(parameter_of(HullRule, name) for name in ('q', 'f', 's')),
+    *(row for row in rows_of(HullRule) if row.name in ('q', 'f', 's')),
     Parameter(
         'heading',
         'none',
@@ -200,15 +229,7 @@ _ROWS = (
         f'Classes that have parameters of their own, `classes.<id>.*`, at most {MAX_CLASSES}. '
         'Empty strings are ignored.',
     ),
-    *(
-        Parameter(
-            f'image_{side}',
-            0,
-            f'{side.capitalize()} of the image, pixels. 0: from `camera_info`.',
-            Range(0, IMAGE_SIZE_LIMIT),
-        )
-        for side in ('width', 'height')
-    ),
+    *size_rows('image', 'the image, pixels. 0: from `camera_info`.'),
     Parameter(
         'clip_boxes',
         False,
@@ -228,7 +249,7 @@ _ROWS = (
         'they contain the hull. 0: the box alone.',
         Range(0.0, Q_RANGE.high),
     ),
-    *_CROP.rows,
+    *rows_of(CropSettings, 'crop.'),
     Parameter(
         'crop.compare_outer',
         False,
@@ -236,41 +257,5 @@ _ROWS = (
         'saved compared with them.',
     ),
 )
-_CLASS_ROWS = (
-    Parameter(
-        'classes.<id>.method',
-        '',
-        "method of this class. Empty: the node's.",
-        Choices(('', *ONBOARD_METHODS)),
-    ),
-    *(
-        Parameter(
-            f'classes.<id>.{name}', 0.0, f"{name} of this class. 0: the node's.", Range(0.0, high)
-        )
-        for name, high in (
-            *((name, Q_RANGE.high) for name in ('q', 'q_bow', 'q_stern')),
-            ('f', F_RANGE.high),
-            ('s', S_RANGE.high),
-        )
-    ),
-    Parameter(
-        'classes.<id>.crop_q',
-        _OF_NODE,
-        "crop.q of this class. -1: the node's, 0: the box alone.",
-        Range(_OF_NODE, Q_RANGE.high),
-    ),
-    Parameter(
-        'classes.<id>.min_score',
-        _OF_NODE,
-        "crop.min_score of this class. -1: the node's, 0: any score.",
-        Range(_OF_NODE, 1e6),
-    ),
-    Parameter(
-        'classes.<id>.weight',
-        1.0,
-        'Factor on the scores of this class when crop regions are ranked. 0: no crop regions.',
-        Range(0.0, 1e6),
-    ),
-)
-OBB_TO_HBB = ParameterTable(_ROWS, _conversion_settings, _CLASS_ROWS)
+OBB_TO_HBB = ParameterTable(_ROWS, _conversion_settings, rows_of(ClassSettings, 'classes.<id>.'))
 """Parameters of the node `obb_to_hbb`."""

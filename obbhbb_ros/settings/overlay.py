@@ -17,11 +17,9 @@ from obbhbb_ros.settings.detection_input import DETECTION_INPUT
 from obbhbb_ros.settings.detection_input import input_frame
 from obbhbb_ros.settings.detection_input import theta_scale
 from obbhbb_ros.settings.parameters import Parameter
-from obbhbb_ros.settings.parameters import ParameterGroup
 from obbhbb_ros.settings.parameters import ParameterTable
-
-_STYLE = ParameterGroup(Style)
-_LIMITS = ParameterGroup(CollectorLimits)
+from obbhbb_ros.settings.parameters import rows_of
+from obbhbb_ros.settings.parameters import settings_of
 
 
 @dataclass(frozen=True)
@@ -34,17 +32,17 @@ class OverlaySettings:
 
 def _overlay_settings(values: Mapping[str, Any]) -> OverlaySettings:
     """Make settings for `overlay`."""
-    layers = [layer for layer in values['layers'] if layer]
-    unknown = ', '.join(layer for layer in layers if layer not in LAYER_COLORS)
-    if unknown:
+    layers = list(filter(None, values['layers']))
+    if unknown := ', '.join(layer for layer in layers if layer not in LAYER_COLORS):
         raise ValueError(f'layers can be {", ".join(LAYER_COLORS)}, not {unknown}')
     colors = {layer: values[f'color.{layer}'] for layer in layers}
     for layer, color in colors.items():
         if not re.fullmatch('#[0-9a-fA-F]{6}', color):
             raise ValueError(f'color.{layer} must be #rrggbb, not {color!r}')
+    style = settings_of(Style, values)
     return OverlaySettings(
-        FrameSettings(colors, _STYLE.build(values), theta_scale(values), input_frame(values)),
-        _LIMITS.build(values),
+        FrameSettings(colors, style, theta_scale(values), input_frame(values)),
+        settings_of(CollectorLimits, values),
     )
 
 
@@ -57,8 +55,8 @@ OVERLAY = ParameterTable(
             list(LAYER_COLORS),
             'What is drawn, the first at the bottom. Empty strings are ignored.',
         ),
-        *_STYLE.rows,
-        *_LIMITS.rows,
+        *rows_of(Style),
+        *rows_of(CollectorLimits),
         *(
             Parameter(f'color.{layer}', color, f'Colour of {layer.replace("_", " ")}, #rrggbb.')
             for layer, color in LAYER_COLORS.items()

@@ -119,12 +119,10 @@ def _parameters(path: Path, name: str, section: Any) -> Mapping[str, Any]:
     return parameters or {}
 
 
-def _flattened(section: Mapping[str, Any], prefix: str = '') -> Values:
-    """Flatten nested sections to names with dots."""
-    values: Values = {}
+def _flattened(section: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested sections by their names with dots."""
     for name, value in section.items():
         if isinstance(value, dict):
-            values.update(_flattened(value, f'{prefix}{name}.'))
+            yield from _flattened(value, f'{prefix}{name}.')
         else:
-            values[f'{prefix}{name}'] = value
-    return values
+            yield f'{prefix}{name}', value

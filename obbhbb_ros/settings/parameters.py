@@ -9,7 +9,9 @@ changes nothing.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from collections.abc import Collection
 from collections.abc import Iterable
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -87,43 +89,50 @@ class Parameter:
         return type(value) is type(self.default)
 
 
-def parameter_of(settings: type[DataclassInstance], name: str, prefix: str = '') -> Parameter:
-    """Make a parameter of a field that `limits.setting` describes, under a prefix."""
-    metadata = {field.name: field.metadata for field in fields(settings)}[name]
-    default = getattr(settings, name)
-    return Parameter(prefix + name, default, metadata['meaning'], metadata['limits'])
-
-
-@dataclass(frozen=True)
-class ParameterGroup(Generic[GroupT]):
+def rows_of(settings: type[DataclassInstance], prefix: str = '') -> tuple[Parameter, ...]:
     """
-    The fields of a dataclass as parameters under a prefix.
+    Make parameters of the fields of a dataclass that `limits.setting` describes.
 
-    Attributes
+    Parameters
     ----------
     settings : type
-        Dataclass whose fields `limits.setting` describes.
+        The dataclass.
     prefix : str
         What the names of the parameters begin with.
+
+    Returns
+    -------
+    tuple of Parameter
+        Parameters in the order of the fields.
     """
+    return tuple(
+        Parameter(prefix + field.name, getattr(settings, field.name), **field.metadata)
+        for field in fields(settings)
+    )
 
-    settings: type[GroupT]
-    prefix: str = ''
 
-    @property
-    def rows(self) -> tuple[Parameter, ...]:
-        """Parameters in the order of the fields."""
-        return tuple(
-            parameter_of(self.settings, field.name, self.prefix) for field in fields(self.settings)
-        )
+def settings_of(settings: type[GroupT], values: Mapping[str, Any], prefix: str = '') -> GroupT:
+    """
+    Make settings of the values of parameters.
 
-    def build(self, values: Mapping[str, Any]) -> GroupT:
-        """Make the settings; ValueError with the name of the parameter if they do not fit."""
-        names = [field.name for field in fields(self.settings)]
-        try:
-            return self.settings(**{name: values[self.prefix + name] for name in names})
-        except ValueError as error:
-            raise ValueError(f'{self.prefix}{error}') from None
+    Parameters
+    ----------
+    settings : type
+        The dataclass of the settings.
+    values : mapping of str to value
+        Values by parameter name, one for every field.
+    prefix : str
+        What the names of the parameters begin with.
+
+    Raises
+    ------
+    ValueError
+        If the values do not fit together; the message begins with the name of the parameter.
+    """
+    try:
+        return settings(**{field.name: values[prefix + field.name] for field in fields(settings)})
+    except ValueError as error:
+        raise ValueError(f'{prefix}{error}') from None
 
 
 @dataclass(frozen=True)
@@ -163,27 +172,19 @@ class ParameterTable(Generic[SettingsT]):
         ValueError
             If there are more than `MAX_CLASSES`.
         """
-        listed = values.get('class_ids', [])
+        listed = values.get('class_ids')
         names = listed if isinstance(listed, list) else []
-        class_ids = [name for name in names if name and isinstance(name, str)]
-        if len(class_ids) > MAX_CLASSES:
-            raise ValueError(
-                f'class_ids has {len(class_ids)} classes, the maximum is {MAX_CLASSES}'
-            )
-        return class_ids
+        classes = [name for name in names if name and isinstance(name, str)]
+        if len(classes) > MAX_CLASSES:
+            raise ValueError(f'class_ids has {len(classes)} classes, the maximum is {MAX_CLASSES}')
+        return classes
 
-    def mentioned_classes(self, names: Iterable[str]) -> list[str]:
+    def mentioned_classes(self, names: Collection[str]) -> list[str]:
         """List the class ids that occur in some parameter names."""
-        affixes = [row.name.split('<id>') for row in self.class_rows]
-        # As the keys of a dictionary: in order, each once.
-        class_ids = {
-            name[len(before) : len(name) - len(after)]: None
-            for before, after in affixes
-            for name in names
-            if len(name) > len(before) + len(after)
-            if name.startswith(before) and name.endswith(after)
-        }
-        return list(class_ids)
+        patterns = [re.escape(row.name).replace('<id>', '(.+)') for row in self.class_rows]
+        matches = [re.fullmatch(pattern, name, re.S) for pattern in patterns for name in names]
+        # As the keys of a dictionary: in order, without duplicates.
+        return list(dict.fromkeys(match[1] for match in matches if match))
 
     def settings(self, values: Mapping[str, Value]) -> SettingsT:
         """

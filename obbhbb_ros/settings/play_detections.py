@@ -3,96 +3,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels.image_labels import BOW_SOURCES
 from obbhbb_ros.labels.image_labels import BowSource
+from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Choices
 from obbhbb_ros.limits import Range
+from obbhbb_ros.limits import setting
 from obbhbb_ros.settings.detection_input import TOPICS
-from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.settings.parameters import ParameterTable
+from obbhbb_ros.settings.parameters import rows_of
+from obbhbb_ros.settings.parameters import settings_of
 from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
+_SIDE = Range(0, IMAGE_SIZE_LIMIT)
+
 
 @dataclass(frozen=True)
-class PlayerSettings:
-    """What may change while the player runs."""
+class PlayerSettings(CheckedSettings):
+    """What the player publishes, and how; ValueError if values are out of range or in conflict."""
 
-    loop: bool
-    images: bool
-    frame_id: str
-    bow: BowSource
+    path: str = setting(
+        '', 'Label file, or folder of label files. Empty: a synthetic harbour.', read_only=True
+    )
+    format: str = setting(
+        '',
+        'Format of the labels. Empty: detected from the files.',
+        Choices(('', *FORMATS)),
+        read_only=True,
+    )
+    rate: float = setting(1.0, 'Images per second.', Range(0.001, 10_000.0), read_only=True)
+    loop: bool = setting(False, 'Start again after the last image, instead of ending.')
+    output_type: str = setting(
+        next(iter(INPUT_TYPES)),
+        f'Message type. The topic is {TOPICS}. A PolygonStamped holds one box.',
+        Choices(tuple(INPUT_TYPES)),
+        read_only=True,
+    )
+    bow: BowSource = setting(
+        'none',
+        'Publish theta as the heading: from the `labels`, or assuming the `first-edge` of each '
+        'box is the bow. Use with `heading: theta` of obb_to_hbb.',
+        Choices(BOW_SOURCES),
+    )
+    images: bool = setting(
+        True,
+        'Also publish the images, on `image`, if they are in the folder of the labels, or in '
+        'images/ beside a folder labels/. Needs Pillow.',
+    )
+    frame_id: str = setting('camera', 'frame_id of every header.')
+    image_width: int = setting(
+        0, 'Width of every image, pixels. 0: from the labels or images.', _SIDE, read_only=True
+    )
+    image_height: int = setting(
+        0, 'Height of every image, pixels. 0: from the labels or images.', _SIDE, read_only=True
+    )
+    wait_for_subscribers: int = setting(
+        1,
+        'Wait for this many subscribers before publishing the first image, so that none misses it.',
+        Range(0, 1000),
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        """Check every value and their combination."""
+        super().__post_init__()
+        if bool(self.image_width) != bool(self.image_height):
+            raise ValueError('image_width and image_height must be given together')
 
 
-def _player_settings(values: Mapping[str, Any]) -> PlayerSettings:
-    """Make settings for `play_detections`."""
-    if bool(values['image_width']) != bool(values['image_height']):
-        raise ValueError('image_width and image_height must be given together')
-    return PlayerSettings(values['loop'], values['images'], values['frame_id'], values['bow'])
-
-
-PLAY_DETECTIONS = ParameterTable(
-    (
-        Parameter(
-            'path',
-            '',
-            'Label file, or folder of label files. Empty: a synthetic harbour.',
-            read_only=True,
-        ),
-        Parameter(
-            'format',
-            '',
-            'Format of the labels. Empty: detected from the files.',
-            Choices(('', *FORMATS)),
-            read_only=True,
-        ),
-        Parameter('rate', 1.0, 'Images per second.', Range(0.001, 10_000.0), read_only=True),
-        Parameter('loop', False, 'Start again after the last image, instead of ending.'),
-        Parameter(
-            'output_type',
-            next(iter(INPUT_TYPES)),
-            f'Message type. The topic is {TOPICS}. A PolygonStamped holds one box.',
-            Choices(tuple(INPUT_TYPES)),
-            read_only=True,
-        ),
-        Parameter(
-            'bow',
-            'none',
-            'Publish theta as the heading: from the `labels`, or assuming the `first-edge` of each '
-            'box is the bow. Use with `heading: theta` of obb_to_hbb.',
-            Choices(BOW_SOURCES),
-        ),
-        Parameter(
-            'images',
-            True,
-            'Also publish the images, on `image`, if they are in the folder of the labels, or in '
-            'images/ beside a folder labels/. Needs Pillow.',
-        ),
-        Parameter('frame_id', 'camera', 'frame_id of every header.'),
-        *(
-            Parameter(
-                f'image_{side}',
-                0,
-                f'{side.capitalize()} of every image, pixels. 0: from the labels or images.',
-                Range(0, IMAGE_SIZE_LIMIT),
-                read_only=True,
-            )
-            for side in ('width', 'height')
-        ),
-        Parameter(
-            'wait_for_subscribers',
-            1,
-            'Wait for this many subscribers before publishing the first image, so that none misses '
-            'it.',
-            Range(0, 1000),
-            read_only=True,
-        ),
-    ),
-    _player_settings,
-)
+PLAY_DETECTIONS = ParameterTable(rows_of(PlayerSettings), partial(settings_of, PlayerSettings))
 """Parameters of the node `play_detections`."""

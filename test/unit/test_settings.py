@@ -2,6 +2,7 @@
 """Parameters and parameter files, checked and used without ROS as the nodes do it."""
 
 import math
+import pydoc
 import subprocess
 import sys
 from pathlib import Path
@@ -22,7 +23,8 @@ from obbhbb_ros.settings.downlink import DOWNLINK
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.parameter_file import read_values
-from obbhbb_ros.settings.parameters import ParameterGroup
+from obbhbb_ros.settings.parameters import rows_of
+from obbhbb_ros.settings.play_detections import PlayerSettings
 
 CONFIG = Path(__file__).parents[2] / 'config'
 NESTED = """
@@ -202,7 +204,7 @@ FIELDS = [
         (OVERLAY, Style, ''),
         (OVERLAY, CollectorLimits, ''),
     )
-    for row in ParameterGroup(settings, prefix).rows
+    for row in rows_of(settings, prefix)
     if isinstance(row.limits, Range)
 ]
 
@@ -223,6 +225,14 @@ def test_a_node_and_its_library_refuse_the_same_values(
             table.settings({prefix + name: value})
         assert str(of_node.value) == f'{prefix}{of_library.value}'
     assert getattr(settings(**{name: limits.high}), name) == limits.high
+
+
+@pytest.mark.parametrize('settings', [HullRule, LinkSettings, BudgetSettings, PlayerSettings])
+def test_help_says_what_every_field_of_settings_means(settings) -> None:
+    text = pydoc.plain(pydoc.render_doc(settings))
+    for row in rows_of(settings):
+        assert f' |  {row.name}\n |      {row.meaning}\n' in text
+    assert text.count('Attributes\n') == 1
 
 
 def test_a_lower_end_can_be_excluded() -> None:
