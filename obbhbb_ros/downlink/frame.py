@@ -8,7 +8,9 @@ No ROS in here: the node, the chip study and the simulation of passes all run th
 from __future__ import annotations
 
 from collections import Counter
+from collections import deque
 from collections.abc import Callable
+from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic
@@ -52,17 +54,12 @@ class FrameCut(Generic[Record]):
     The regions of one frame, and what becomes of each of them.
 
     For link and spool alike, each region has either success or exactly one reason why it was
-    dropped. Until `run` comes to it, and after an exception, that reason is `Dropped.FAILED`.
+    dropped. Until `run` has dealt with it, and after an exception, that is `Dropped.FAILED`.
 
     Parameters
     ----------
     regions : sequence of tuple of int
         x0, y0, x1, y1 of each region, pixels, most valuable first.
-
-    Attributes
-    ----------
-    records : list
-        The records of the chips, in the order of the regions.
 
     Examples
     --------
@@ -75,9 +72,9 @@ class FrameCut(Generic[Record]):
 
     def __init__(self, regions: Sequence[Region]) -> None:
         self._regions = regions
+        # One assignment decides the fate of a chip, so that an interrupt finds it in one place.
         self._sending: list[Dropped | None] = [Dropped.FAILED] * len(regions)
-        self._recording: list[Dropped | None] = [Dropped.FAILED] * len(regions)
-        self.records: list[Record] = []
+        self._recording: list[Dropped | Record] = [Dropped.FAILED] * len(regions)
 
     @property
     def sent(self) -> int:
@@ -90,6 +87,11 @@ class FrameCut(Generic[Record]):
         return _by_reason(self._sending)
 
     @property
+    def records(self) -> list[Record]:
+        """The records of the chips, in the order of the regions."""
+        return [fate for fate in self._recording if not isinstance(fate, Dropped)]
+
+    @property
     def not_recorded(self) -> Counter[str]:
         """Number of regions without a record, by reason."""
         return _by_reason(self._recording)
@@ -100,8 +102,8 @@ class FrameCut(Generic[Record]):
 
     def refuse(self, reason: Dropped) -> None:
         """Note why nothing was cut, for link and spool alike."""
-        for fates in (self._sending, self._recording):
-            fates[:] = [reason if fate is Dropped.FAILED else fate for fate in fates]
+        self._sending = [reason if fate is Dropped.FAILED else fate for fate in self._sending]
+        self._recording = [reason if fate is Dropped.FAILED else fate for fate in self._recording]
 
     def run(
         self,
@@ -112,8 +114,8 @@ class FrameCut(Generic[Record]):
         """
         Cut the regions in order, as long as link or spool want more of them.
 
-        An exception from `link.send` closes the link only; it is raised when all chips are
-        recorded. Any other exception ends the loop.
+        An exception from the link, even an interrupt, closes the link only; it is raised when all
+        chips are recorded. One from `cut` or `record` ends the loop.
 
         Parameters
         ----------
@@ -125,41 +127,36 @@ class FrameCut(Generic[Record]):
         record : callable, optional
             Returns what the spool stores of a chip. None: there is no spool.
         """
-        error: Exception | None = None
+        chips = self._cut_and_record(cut, record)
+        try:
+            if link is not None:
+                self._send(chips, link)
+        finally:
+            if record is not None:
+                # The chips that the link did not ask for.
+                deque(chips, maxlen=0)
+
+    def _cut_and_record(
+        self,
+        cut: Callable[[int, Region], EncodedChip | Dropped],
+        record: Callable[[EncodedChip], Record] | None,
+    ) -> Iterator[EncodedChip | Dropped]:
+        """Yield the chips in order, after they are recorded."""
         for index, region in enumerate(self._regions):
-            if link is None and record is None:
-                break
             chip = cut(index, region)
             if record is not None:
-                self._record(index, chip, record)
-            if link is not None:
-                try:
-                    is_open = self._offer(index, chip, link)
-                except Exception as send_error:
-                    error, is_open = send_error, False
-                link = link if is_open else None
-        if error is not None:
-            raise error
+                self._recording[index] = chip if isinstance(chip, Dropped) else record(chip)
+            yield chip
 
-    def _record(
-        self, index: int, chip: EncodedChip | Dropped, record: Callable[[EncodedChip], Record]
-    ) -> None:
-        """Record the chip of a region."""
-        if isinstance(chip, Dropped):
-            self._recording[index] = chip
-        else:
-            self.records.append(record(chip))
-            self._recording[index] = None
-
-    def _offer(self, index: int, chip: EncodedChip | Dropped, link: FrameLink) -> bool:
-        """Offer the chip of a region to the link; return whether it takes more."""
-        self._sending[index] = chip if isinstance(chip, Dropped) else link.offer(chip)
-        ended_by = link.budget.ended_by
-        if ended_by is not None:
-            self.close_link(ended_by, index + 1)
-        return ended_by is None
+    def _send(self, chips: Iterator[EncodedChip | Dropped], link: FrameLink) -> None:
+        """Offer chips to the link until it takes no more."""
+        for index, chip in enumerate(chips):
+            self._sending[index] = chip if isinstance(chip, Dropped) else link.offer(chip)
+            if link.budget.ended_by is not None:
+                self.close_link(link.budget.ended_by, index + 1)
+                return
 
 
-def _by_reason(fates: Sequence[Dropped | None]) -> Counter[str]:
+def _by_reason(fates: Sequence[object]) -> Counter[str]:
     """Count what was dropped."""
-    return Counter(reason.value for reason in fates if reason is not None)
+    return Counter(fate.value for fate in fates if isinstance(fate, Dropped))

@@ -47,23 +47,28 @@ class Unpaired(str, Enum):
 
 class StampCache(Generic[Item]):
     """
-    Items by stamp, in the order of arrival.
+    Items by stamp, in the order of arrival. Times are seconds of a monotonic clock.
 
-    It drops nothing by itself: `put`, `expire`, `shrink` and `clear` return what they remove, so
-    that the caller can account for it. Times are seconds of a monotonic clock.
+    Parameters
+    ----------
+    on_dropped : callable
+        Called with reason and item for each item that is dropped: by `put`, `expire` or `clear`.
 
     Examples
     --------
-    >>> cache = StampCache[str]()
-    >>> cache.put((5, 0), 'first', now=0.0)
-    >>> cache.put((6, 0), 'second', now=0.1)
+    >>> cache = StampCache[str](print)
+    >>> cache.put((5, 0), 'first', now=0.0, max_count=2)
+    >>> cache.put((6, 0), 'second', now=0.1, max_count=2)
     >>> cache.nearest((5, 9), slop=1e-8)
     (5, 0)
-    >>> cache.shrink(1), list(cache)
-    (['first'], ['second'])
+    >>> cache.expire(now=2.05, max_age=2.0)
+    Unpaired.EXPIRED first
+    >>> list(cache)
+    ['second']
     """
 
-    def __init__(self) -> None:
+    def __init__(self, on_dropped: Callable[[Unpaired, Item], object]) -> None:
+        self._on_dropped = on_dropped
         self._entries: OrderedDict[Stamp, tuple[float, Item]] = OrderedDict()
 
     def __len__(self) -> int:
@@ -86,11 +91,18 @@ class StampCache(Generic[Item]):
         """Return the item of a stamp."""
         return self._entries.get(stamp, (0.0, None))[1]
 
-    def put(self, stamp: Stamp, item: Item, now: float) -> Item | None:
-        """Add an item as the newest; return the item of the same stamp that it replaces."""
-        replaced = self.pop(stamp)
+    def put(self, stamp: Stamp, item: Item, now: float, max_count: int) -> None:
+        """Add an item as the newest; drop one of the same stamp, and the oldest over the count."""
+        replaced = self._entries.pop(stamp, None)
         self._entries[stamp] = now, item
-        return replaced
+        if replaced is not None:
+            self._on_dropped(Unpaired.DUPLICATE, replaced[1])
+        self._drop_while(Unpaired.CROWDED_OUT, lambda _: len(self._entries) > max_count)
+
+    def renew(self, stamp: Stamp, now: float) -> None:
+        """Let the item of a stamp, if there is one, wait from now on."""
+        if stamp in self._entries:
+            self._entries[stamp] = now, self._entries.pop(stamp)[1]
 
     def pop(self, stamp: Stamp) -> Item | None:
         """Remove and return the item of a stamp."""
@@ -108,24 +120,20 @@ class StampCache(Generic[Item]):
         )
         return nearest if distance <= round(slop * 1e9) else None
 
-    def expire(self, now: float, max_age: float) -> list[Item]:
-        """Remove the items that came more than `max_age` seconds ago."""
-        return self._remove_while(lambda arrival: now - arrival > max_age)
+    def expire(self, now: float, max_age: float) -> None:
+        """Drop the items that came more than `max_age` seconds ago."""
+        self._drop_while(Unpaired.EXPIRED, lambda arrival: now - arrival > max_age)
 
-    def shrink(self, count: int) -> list[Item]:
-        """Remove the oldest items until no more than `count` are left."""
-        return self._remove_while(lambda _: len(self._entries) > count)
+    def clear(self) -> None:
+        """Drop all items."""
+        self._drop_while(Unpaired.CLEARED, lambda _: True)
 
-    def clear(self) -> list[Item]:
-        """Remove all items."""
-        return self.shrink(0)
-
-    def _remove_while(self, condition: Callable[[float], bool]) -> list[Item]:
-        """Remove the oldest items while the arrival of the oldest meets a condition."""
-        removed = []
+    def _drop_while(self, reason: Unpaired, condition: Callable[[float], bool]) -> None:
+        """Drop the oldest items while the arrival of the oldest meets a condition."""
         while self._entries and condition(next(iter(self._entries.values()))[0]):
-            removed.append(self._entries.popitem(last=False)[1][1])
-        return removed
+            # One by one: an error of the callback costs no other item.
+            _, (_, item) = self._entries.popitem(last=False)
+            self._on_dropped(reason, item)
 
 
 @dataclass(frozen=True)
@@ -186,9 +194,9 @@ class JoinerSide(Generic[Item, Partner]):
         on_dropped: Callable[[Unpaired, Item], None],
         on_jump_back: Callable[[Stamp, Stamp], None],
     ) -> None:
-        self.waiting = StampCache[Item]()
+        self.waiting = StampCache[Item](on_dropped)
         # Stamps whose item has had its partner: a duplicate may still arrive.
-        self._joined = StampCache[None]()
+        self._joined = StampCache[None](lambda reason, _: None)
         self._latest = ZERO_STAMP
         self._on_dropped, self._on_jump_back = on_dropped, on_jump_back
         self._other: JoinerSide[Partner, Item]
@@ -217,7 +225,7 @@ class JoinerSide(Generic[Item, Partner]):
             Maximum difference between the stamps of a pair, seconds (0: stamps are equal).
         """
         if stamp == ZERO_STAMP:
-            self._drop(Unpaired.ZERO_STAMP, [item])
+            self._on_dropped(Unpaired.ZERO_STAMP, item)
             return None
         if stamp < self._latest:
             self._on_jump_back(self._latest, stamp)
@@ -226,34 +234,22 @@ class JoinerSide(Generic[Item, Partner]):
             self._other._joined.clear()
         self._latest = stamp
         if stamp in self._joined:
-            self._drop(Unpaired.DUPLICATE, [item])
+            self._on_dropped(Unpaired.DUPLICATE, item)
             return None
         partner_stamp = self._other.waiting.nearest(stamp, slop)
-        if partner_stamp is not None:
-            self._note_joined(stamp, now)
-            self._other._note_joined(partner_stamp, now)
-            return self._other.waiting.pop(partner_stamp)
-        replaced = self.waiting.put(stamp, item, now)
-        self._drop(Unpaired.DUPLICATE, [] if replaced is None else [replaced])
-        self._drop(Unpaired.CROWDED_OUT, self.waiting.shrink(max_count))
-        return None
+        if partner_stamp is None:
+            self.waiting.put(stamp, item, now, max_count)
+            return None
+        self._joined.put(stamp, None, now, _MAX_JOINED)
+        self._other._joined.put(partner_stamp, None, now, _MAX_JOINED)
+        return self._other.waiting.pop(partner_stamp)
 
     def expire(self, now: float, max_age: float) -> None:
         """Drop the items that came more than `max_age` seconds ago."""
-        self._drop(Unpaired.EXPIRED, self.waiting.expire(now, max_age))
+        self.waiting.expire(now, max_age)
         self._joined.expire(now, max_age)
 
     def clear(self) -> None:
         """Drop all items; the next stamp is not a jump back."""
         self._latest = ZERO_STAMP
-        self._drop(Unpaired.CLEARED, self.waiting.clear())
-
-    def _note_joined(self, stamp: Stamp, now: float) -> None:
-        """Note that the item of a stamp has its partner."""
-        self._joined.put(stamp, None, now)
-        self._joined.shrink(_MAX_JOINED)
-
-    def _drop(self, reason: Unpaired, items: list[Item]) -> None:
-        """Report items that get no partner."""
-        for item in items:
-            self._on_dropped(reason, item)
+        self.waiting.clear()

@@ -36,6 +36,7 @@ from obbhbb_ros.downlink.joiner import Unpaired
 from obbhbb_ros.downlink.stamps import ChipStamps
 from obbhbb_ros.nodes.camera_info import LatestCameraInfo
 from obbhbb_ros.nodes.chip_topics import ChipTopics
+from obbhbb_ros.nodes.chip_topics import FrameTopics
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import TopicInput
 from obbhbb_ros.nodes.node_topics import reliable
@@ -114,6 +115,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._on_plan_dropped, partial(self._warn_of_jump_back, 'crop_plans')
         )
         self._images.pair_with(self._plans)
+        self._sources = StampCache[list[Source]](self._on_sources_dropped)
         self._budget = self.parameters.settings.budget
         # The link remembers what was sent while the node is inactive.
         self._bucket = TokenBucket(self._budget, time.monotonic())
@@ -138,19 +140,18 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self.reporter.add_facts(self._facts)
 
     def configure(self) -> None:
-        """Open the spool, and forget camera and sources."""
+        """Open the spool, and forget the camera."""
         # If Pillow is missing, fail here and not at the first chip.
         import PIL.Image  # noqa: F401
 
         self._camera = LatestCameraInfo()
-        self._sources = StampCache[list[Source]]()
         path = self.parameters.settings.spool_path
         self._spool = SpoolWriter(Path(path), self._warn_of_spool) if path else None
 
     def deactivate(self) -> None:
-        """Drop the images and plans that wait for each other."""
-        self._images.clear()
-        self._plans.clear()
+        """Drop the images, plans and sources that wait for each other."""
+        for waiting in (self._images, self._plans, self._sources):
+            waiting.clear()
 
     def cleanup(self) -> None:
         """Close the spool."""
@@ -187,10 +188,11 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._camera.update(data)
 
     def _on_sources(self, data: bytes) -> None:
-        """Keep the sources of a plan until the plan is cut."""
+        """Keep the sources of a plan until its image is cut."""
         stamp, sources = read_sources(data)
-        self._sources.put(stamp, sources, time.monotonic())
-        self._sources.shrink(PLANS_KEPT)
+        now, limits = self._expire()
+        # Their plans wait in the node, or still in the middleware.
+        self._sources.put(stamp, sources, now, limits.regions + PLANS_KEPT)
 
     def _on_image(self, data: bytes) -> None:
         """Keep an image for its plan, or cut it if the plan is there."""
@@ -207,6 +209,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         ticket = self._spool.plan(len(plan)) if self._spool is not None and len(plan) else None
         planned = PlannedFrame(plan, ticket)
         now, limits = self._expire()
+        # Sources wait for their plan, and then as long as their plan.
+        self._sources.renew(plan.stamp, now)
         image = self._plans.add(plan.stamp, planned, now, limits.regions, limits.slop)
         if image is not None:
             self._cut(image, planned, now)
@@ -214,8 +218,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     def _expire(self) -> tuple[float, PairLimits]:
         """Drop what has waited too long; return the time and the limits of what waits."""
         now, limits = time.monotonic(), self._settings().pairing
-        self._images.expire(now, limits.max_age)
-        self._plans.expire(now, limits.max_age)
+        for waiting in (self._images, self._plans, self._sources):
+            waiting.expire(now, limits.max_age)
         return now, limits
 
     def _on_image_dropped(self, reason: Unpaired, _: WireImage) -> None:
@@ -231,6 +235,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._store(planned, [], {f'crop_plan_{reason.value}': len(planned)})
         if reason in _MISTAKES or (len(planned) and reason in _EXPLANATIONS):
             self._warn_of_unpaired('crop_plans', reason)
+
+    def _on_sources_dropped(self, reason: Unpaired, _: list[Source]) -> None:
+        """Count sources that were not used."""
+        self.monitor.add(f'crop_sources_dropped.{reason.value}')
 
     def _warn_of_unpaired(self, kind: str, reason: Unpaired) -> None:
         """Report a message that met no partner."""
@@ -260,14 +268,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     def _cut(self, image: WireImage, planned: PlannedFrame, started: float) -> None:
         """Cut one frame; publish what the budget allows, and store all of it in the spool."""
         self.monitor.add('frames_paired')
-        settings = self._settings()
         frame = FrameCut[NewChip](planned.plan.regions)
-        is_wanted = self._chip_topics.wanted()
-        if not is_wanted:
-            frame.close_link(Dropped.NO_SUBSCRIBER)
         try:
-            if is_wanted or planned.ticket is not None:
-                self._run(frame, image, planned, is_wanted, settings)
+            self._run(frame, image, planned)
         except ChipError as error:
             frame.refuse(Dropped.IMAGE_REFUSED)
             self.reporter.warn(
@@ -278,30 +281,31 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         finally:
             # After an error as well, every chip is accounted for.
             self.monitor.add('chips_sent', frame.sent)
-            self._report_dropped(frame.not_sent, image, len(planned))
+            for reason, number in frame.not_sent.items():
+                self._drop(reason, number)
             self._store(planned, frame.records, frame.not_recorded)
+            self._warn_of_losses(frame.not_sent, image, len(planned))
         self.monitor.took(time.monotonic() - started)
 
-    def _run(
-        self,
-        frame: FrameCut[NewChip],
-        image: WireImage,
-        planned: PlannedFrame,
-        is_wanted: bool,
-        settings: ChipSettings,
-    ) -> None:
+    def _run(self, frame: FrameCut[NewChip], image: WireImage, planned: PlannedFrame) -> None:
         """Run the loop over the regions of a frame; ChipError if the image cannot be cut."""
-        plan, codec = planned.plan, settings.codec
-        layout = pixel_format(image.encoding, codec.codec)
-        warn = partial(self._warn_of_failure, image, codec.codec)
-        cutter = ChipCutter(view_of(image), layout, codec, warn)
+        settings, plan = self._settings(), planned.plan
+        sources = self._sources.pop(plan.stamp) or []
+        is_wanted = self._chip_topics.wanted()
+        if not is_wanted:
+            frame.close_link(Dropped.NO_SUBSCRIBER)
+            if planned.ticket is None:
+                return
+        codec = settings.codec.codec
+        layout = pixel_format(image.encoding, codec)
+        warn = partial(self._warn_of_failure, image, codec)
+        cutter = ChipCutter(view_of(image), layout, settings.codec, warn)
         camera = self._camera.info_for(image)
-        link, record = None, None
-        if is_wanted:
-            link = self._link(image, plan, camera, settings)
+        link = self._link(image, plan, camera, settings) if is_wanted else None
+        record = None
         if planned.ticket is not None:
-            sources = self._sources_of(plan)
-            record = recorder_of(image, plan, sources, codec.codec, camera.k.tolist())
+            matching = self._matching(plan, sources)
+            record = recorder_of(image, plan, matching, codec, camera.k.tolist())
         frame.run(cutter.cut, link, record)
 
     def _link(
@@ -309,7 +313,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     ) -> FrameLink:
         """Return the link for the chips of an image."""
         budget = FrameBudget(settings.budget, self._bucket, settings.codec, time.monotonic)
-        topics = self._chip_topics.of_frame(image, plan, camera, settings.codec.codec)
+        topics = FrameTopics(self._chip_topics, image, plan, camera, settings.codec.codec)
 
         def send(chip: EncodedChip, data: bytes) -> None:
             topics.publish(chip, data)
@@ -317,9 +321,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
         return FrameLink(budget, send)
 
-    def _sources_of(self, plan: WirePlan) -> list[Source]:
-        """Take the sources of a plan; none if there are none or they do not match."""
-        sources = self._sources.pop(plan.stamp) or []
+    def _matching(self, plan: WirePlan, sources: list[Source]) -> list[Source]:
+        """Return the sources of a plan; none if they do not match its regions."""
         if plan.has_sources(sources):
             return sources
         self.monitor.add('plans_without_sources')
@@ -331,15 +334,14 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             )
         return []
 
-    def _report_dropped(self, dropped: Counter[str], image: WireImage, count: int) -> None:
-        """Count the chips that are not sent, and warn where an operator can do something."""
-        for reason, number in dropped.items():
-            self._drop(reason, number)
-            if reason in _LOST_FOR_GOOD:
+    def _warn_of_losses(self, dropped: Counter[str], image: WireImage, count: int) -> None:
+        """Warn of chips that are not sent, where an operator can do something."""
+        for reason, explanation in _LOST_FOR_GOOD.items():
+            if number := dropped[reason]:
                 self.reporter.warn(
                     reason,
                     f'dropped {number} of {count} chips at stamp {stamp_text(image.stamp)}: '
-                    f'{_LOST_FOR_GOOD[reason]}',
+                    f'{explanation}',
                 )
 
     def _store(

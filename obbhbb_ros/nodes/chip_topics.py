@@ -49,13 +49,9 @@ class ChipTopics:
         """Return whether any of them has a subscriber."""
         return any(output.wanted() for output in (self.files, self.places, self.identities))
 
-    def of_frame(self, image: WireImage, plan: WirePlan, camera: Any, codec: str) -> FrameTopics:
-        """Prepare publishing the chips of an image, given their plan and camera info."""
-        return FrameTopics(self, image, plan, camera, codec)
-
 
 class FrameTopics:
-    """The topics for the chips of one image, from `ChipTopics.of_frame`."""
+    """The topics for the chips of one image, cut by a plan and seen by a camera."""
 
     def __init__(
         self, topics: ChipTopics, image: WireImage, plan: WirePlan, camera: Any, codec: str

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from collections.abc import Iterable
 from collections.abc import Set
 from dataclasses import dataclass
 from dataclasses import field
@@ -107,7 +106,9 @@ class LayerCollector(Generic[ImageT, LayerT]):
 
     def __init__(self, on_dropped: Callable[[NotDrawn], None]) -> None:
         self._on_dropped = on_dropped
-        self._waiting = StampCache[ImageParts[ImageT, LayerT]]()
+        self._waiting = StampCache[ImageParts[ImageT, LayerT]](
+            lambda reason, _: on_dropped(NotDrawn(reason.value))
+        )
         self._last_number = 0
         self._last_ready = 0
 
@@ -170,24 +171,19 @@ class LayerCollector(Generic[ImageT, LayerT]):
 
     def clear(self) -> None:
         """Drop everything."""
-        self._drop(NotDrawn.CLEARED, self._waiting.clear())
+        self._waiting.clear()
 
     def _parts(self, stamp: Stamp, now: float) -> ImageParts[ImageT, LayerT]:
         """Return the parts of a stamp."""
         parts = self._waiting.get(stamp)
         if parts is None:
             parts = ImageParts(now)
-            self._waiting.put(stamp, parts, now)
+            self._waiting.put(stamp, parts, now, _MAX_STAMPS)
         return parts
 
     def _make_room(self, max_images: int) -> None:
-        """Drop the oldest images, and the oldest stamps, where there are too many."""
+        """Drop the oldest images where there are too many."""
         with_image = [s for s, parts in self._waiting.items() if parts.image is not None]
-        excess = with_image[: max(len(with_image) - max_images, 0)]
-        self._drop(NotDrawn.CROWDED_OUT, map(self._waiting.pop, excess))
-        self._drop(NotDrawn.CROWDED_OUT, self._waiting.shrink(_MAX_STAMPS))
-
-    def _drop(self, reason: NotDrawn, dropped: Iterable[object]) -> None:
-        """Report what was dropped."""
-        for _ in dropped:
-            self._on_dropped(reason)
+        for stamp in with_image[: max(len(with_image) - max_images, 0)]:
+            self._waiting.pop(stamp)
+            self._on_dropped(NotDrawn.CROWDED_OUT)

@@ -341,6 +341,43 @@ def test_an_outbox_that_was_replaced_delivers_nothing(chain: Chain) -> None:
     node.wait(lambda: node.counts()['spool.in_outbox'] == 2, 'it goes on')
 
 
+def test_sources_wait_as_long_as_their_plan_and_are_counted_if_no_plan_uses_them(
+    chain: Chain,
+) -> None:
+    chips = chain.chips
+    publisher = chips.peer.publisher(Detection2DArray, 'crop_sources')
+
+    def message() -> Detection2DArray:
+        message = detections([(16, 16, 16, 16, 0)])
+        message.header = chips.stamp()
+        message.detections[0].id = 'ship'
+        return message
+
+    chips.set({'cache.max_age': 0.1})
+    chips.send_until(
+        lambda: publisher.publish(message()),
+        lambda: chips.counts()['crop_sources_dropped.expired'],
+        'sources without plan',
+    )
+    chips.set({'cache.max_age': 4.0})
+    plan = message()
+    stored = chips.counts()['chips_stored']
+    publisher.publish(plan)
+    time.sleep(2.5)
+    chips.plans.publish(plan)
+    time.sleep(2.5)
+    chips.images.publish(image_message('mono8', NOISE, plan.header))
+    chips.wait(lambda: chips.counts()['chips_stored'] > stored, 'the chip')
+    # Only the first frame of the chain had no sources.
+    assert chips.counts()['plans_without_sources'] == 1
+    for _ in range(2):
+        publisher.publish(plan)
+    chips.wait(lambda: chips.counts()['crop_sources_dropped.duplicate'], 'the same sources again')
+    assert chips.change_state(Transition.TRANSITION_DEACTIVATE)
+    chips.wait(lambda: chips.counts()['crop_sources_dropped.deactivated'], 'the deactivation')
+    assert not unexplained(chips.counts(), 'chip_extractor.md')
+
+
 def test_an_inactive_node_releases_nothing(chain: Chain) -> None:
     node = chain.downlink(autostart=False)
     assert node.change_state(Transition.TRANSITION_CONFIGURE)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The loop over a frame: link and spool each have one fate for every region, whatever happens."""
 
+import itertools
+import sys
 from collections import Counter
 from contextlib import suppress
 
@@ -114,20 +116,54 @@ def test_an_image_that_is_refused_has_that_reason_unless_nobody_wanted_it(is_wan
     assert frame.fates == (0, refused if is_wanted else {'no_subscriber': 2}, [], refused)
 
 
-def test_an_error_of_the_link_costs_the_spool_nothing() -> None:
+@pytest.mark.parametrize('error', [RuntimeError, KeyboardInterrupt, SystemExit])
+def test_an_error_of_the_link_costs_the_spool_nothing(error) -> None:
     frame = Frame(1, 1, 1, Dropped.OUTSIDE)
     send = frame.send
 
     def broken(chip, data):
         if chip.index == 1:
-            raise RuntimeError('the middleware is full')
+            raise error('the middleware is full')
         send(chip, data)
 
     frame.send = broken
     frame.link = FrameLink(frame.link.budget, broken)
-    with pytest.raises(RuntimeError, match='the middleware is full'):
+    with pytest.raises(error, match='the middleware is full'):
         frame.run()
     assert frame.fates == (1, {'failed': 3}, [0, 1, 2], {'outside_image': 1})
+
+
+def interrupted_at(line, run):
+    """Run, with an interrupt at a line of the loop; return whether it came that far."""
+    lines = itertools.count()
+
+    def trace(python_frame, event, _):
+        if python_frame.f_code.co_filename != FrameCut.run.__code__.co_filename:
+            return None
+        if event == 'line' and next(lines) == line:
+            raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        run()
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
+
+
+def test_an_interrupt_at_any_line_of_the_loop_leaves_one_fate_for_every_region() -> None:
+    for line in itertools.count():
+        frame = Frame(1, Dropped.OUTSIDE, 1, 1200, 1)
+        was_interrupted = interrupted_at(line, frame.run)
+        sent, not_sent, records, not_recorded = frame.fates
+        assert sent + not_sent.total() == len(records) + not_recorded.total() == 5
+        if not was_interrupted:
+            break
+    assert line > 30
 
 
 @pytest.mark.parametrize('spool', [True, False])

@@ -250,26 +250,65 @@ def test_no_pair_is_farther_apart_than_the_slop(events, slop) -> None:
     assert log.dropped == []
 
 
+def test_an_error_of_the_callback_costs_no_other_item() -> None:
+    fates = []
+
+    def on_dropped(_, item):
+        fates.append(item)
+        if len(fates) == 1:
+            raise RuntimeError('the log is full')
+
+    plans = JoinerSide(on_dropped, print)
+    plans.pair_with(JoinerSide(print, print))
+    for second in (1, 2, 3):
+        plans.add((second, 0), second, 0.0, 3)
+    with pytest.raises(RuntimeError, match='the log is full'):
+        plans.expire(2.0, MAX_AGE)
+    plans.expire(2.0, MAX_AGE)
+    assert fates == [1, 2, 3]
+
+
 # The cache that both sides are made of
 
 
-def test_a_cache_returns_what_it_removes_the_oldest_first() -> None:
-    cache = StampCache()
-    for second in range(6):
-        assert cache.put((second, 0), second, 0.1 * second) is None
-    assert cache.pop((5, 0)) == 5
-    assert cache.pop((5, 0)) is None
-    assert cache.expire(1.15, 1.0) == [0, 1]
-    assert cache.shrink(2) == [2]
-    assert (len(cache), (3, 0) in cache, (2, 0) in cache) == (2, True, False)
-    assert cache.clear() == [3, 4]
+def test_a_cache_reports_what_it_drops_the_oldest_first() -> None:
+    dropped = []
+    cache = StampCache(lambda *fate: dropped.append(fate))
+    for second in range(7):
+        cache.put((second, 0), second, 0.1 * second, max_count=6)
+    assert dropped == [(Unpaired.CROWDED_OUT, 0)]
+    assert cache.pop((6, 0)) == 6
+    assert cache.pop((6, 0)) is None
+    cache.expire(1.25, 1.0)
+    cache.put((9, 0), 9, 1.3, max_count=3)
+    assert dropped[1:] == [
+        (Unpaired.EXPIRED, 1),
+        (Unpaired.EXPIRED, 2),
+        (Unpaired.CROWDED_OUT, 3),
+    ]
+    assert (len(cache), (4, 0) in cache, (2, 0) in cache) == (3, True, False)
+    cache.clear()
+    assert dropped[4:] == [(Unpaired.CLEARED, item) for item in (4, 5, 9)]
     assert list(cache) == []
 
 
 def test_an_item_that_takes_the_place_of_another_is_the_newest() -> None:
-    cache = StampCache()
+    dropped = []
+    cache = StampCache(lambda *fate: dropped.append(fate))
     for item in ('a', 'b'):
-        cache.put((ord(item), 0), item, 0.0)
-    assert cache.put((ord('a'), 0), 'c', 1.0) == 'a'
+        cache.put((ord(item), 0), item, 0.0, max_count=2)
+    cache.put((ord('a'), 0), 'c', 1.0, max_count=2)
     assert list(cache) == ['b', 'c']
-    assert cache.expire(1.5, 1.0) == ['b']
+    cache.expire(1.5, 1.0)
+    assert dropped == [(Unpaired.DUPLICATE, 'a'), (Unpaired.EXPIRED, 'b')]
+
+
+def test_an_item_that_is_renewed_waits_from_then_on() -> None:
+    dropped = []
+    cache = StampCache(lambda *fate: dropped.append(fate))
+    for second in (1, 2, 3):
+        cache.put((second, 0), second, 0.0, max_count=3)
+    cache.renew((1, 0), 0.5)
+    cache.renew((4, 0), 0.5)
+    cache.expire(1.2, 1.0)
+    assert (list(cache), dropped) == ([1], [(Unpaired.EXPIRED, 2), (Unpaired.EXPIRED, 3)])
