@@ -47,18 +47,14 @@ def bow_sides(boxes: OrientedBoxes, hulls: Sequence[FloatArray | None]) -> NDArr
     >>> bow_sides(boxes, [hull])
     array([1], dtype=int8)
     """
-    center, along, across = boxes.center, boxes.long_axis, boxes.short_axis
+    axes = np.stack((boxes.long_axis, boxes.short_axis), axis=2)
+    squares = (axes**2).sum(axis=1)
+    # Along and across the ship, from -1 to 1 in its box.
     local = [
-        None
-        if hull is None or not boxes.valid[row]
-        else np.stack(
-            (
-                (hull - center[row]) @ along[row] / (along[row] @ along[row]),
-                (hull - center[row]) @ across[row] / (across[row] @ across[row]),
-            ),
-            axis=1,
+        None if hull is None or not valid else (hull - center) @ turn / squared
+        for hull, valid, center, turn, squared in zip(
+            hulls, boxes.valid, boxes.center, axes, squares, strict=True
         )
-        for row, hull in enumerate(hulls)
     ]
     polygons, start = outlines(local), 1.0 - 2.0 * END
     ahead, astern = (

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.downlink import chips
 from obbhbb_ros.downlink import crops
-from obbhbb_ros.downlink.frame import FrameCut
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.labels import ImageLabels
@@ -86,12 +85,9 @@ def _add(cost: Cost, labels: ImageLabels, pixels: NDArray[Any], plan: crops.Crop
     """Add the chips of one image, cut by a plan."""
     cost.chips += len(plan.regions)
     cost.pixels += plan.pixels
-    layout = chips.PixelFormat(tuple(range(pixels.shape[2])), 8 * pixels.dtype.itemsize)
     for codec, settings in ENCODERS.items():
-        frame = FrameCut[int]([(x0, y0, x1, y1) for x0, y0, x1, y1 in plan.regions.tolist()])
-        cutter = chips.ChipCutter(pixels, layout, settings, _fail)
-        frame.run(cutter.cut, record=lambda chip: len(chip.data))
-        cost.sizes[codec] += sum(frame.records)
+        for x0, y0, x1, y1 in plan.regions:
+            cost.sizes[codec] += len(chips.encode(pixels[y0:y1, x0:x1], settings))
     image = shapely.box(0, 0, pixels.shape[1], pixels.shape[0])
     for region, row in zip(plan.regions, plan.sources, strict=True):
         hull = labels.hulls[row]
@@ -99,11 +95,6 @@ def _add(cost: Cost, labels: ImageLabels, pixels: NDArray[Any], plan: crops.Crop
             visible = shapely.make_valid(shapely.polygons(hull)) & image
             cost.hull += visible.area
             cost.hull_lost += (visible - shapely.box(*region)).area
-
-
-def _fail(_: chips.Region, error: Exception) -> None:
-    """Raise: a chip that cannot be encoded would make the costs wrong."""
-    raise error
 
 
 def render(labels: ImageLabels) -> NDArray[np.uint8]:

@@ -69,7 +69,8 @@ def aspect_groups(training: Ships, ships: Ships) -> NDArray[np.intp]:
 
 def class_groups(names: Sequence[str], training: Ships, ships: Ships) -> NDArray[np.intp]:
     """Sort ships by class, for some classes."""
-    return ships.class_index(names)
+    number = {name: index for index, name in enumerate(names)}
+    return np.array([number.get(name, -1) for name in ships.class_ids.tolist()], dtype=np.intp)
 
 
 def _aspect_edges(ships: Ships) -> FloatArray:

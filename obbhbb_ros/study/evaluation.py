@@ -18,6 +18,7 @@ from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +99,9 @@ class Scored:
     settings: EvaluationSettings
 
 
+ShipValues: TypeAlias = Callable[[Scored], FloatArray]
+
+
 @dataclass(frozen=True)
 class Metric:
     """
@@ -114,7 +118,7 @@ class Metric:
     """
 
     title: str
-    values: Callable[[Scored], FloatArray]
+    values: ShipValues
     form: str = '.4f'
 
     def heading(self, settings: EvaluationSettings) -> str:
@@ -122,19 +126,17 @@ class Metric:
         return self.title.format(threshold=settings.threshold * 100.0, keep=settings.keep)
 
 
-def _metric(
-    title: str, values: Callable[[Scored], FloatArray], form: str = '.4f'
-) -> dict[str, Metric]:
+def _metric(title: str, values: ShipValues, form: str = '.4f') -> dict[str, Metric]:
     """Describe a field of `Score` that is the mean of a metric."""
     return {'metric': Metric(title, values, form)}
 
 
-def _overlap(name: str) -> Callable[[Scored], FloatArray]:
+def _overlap(name: str) -> ShipValues:
     """Read a property of the overlap."""
     return attrgetter(f'overlap.{name}')
 
 
-def _matches(threshold: float | None = None) -> Callable[[Scored], FloatArray]:
+def _matches(threshold: float | None = None) -> ShipValues:
     """Count the ships with an IoU of at least a threshold, by default that of the settings."""
     return lambda scored: scored.overlap.match(threshold or scored.settings.threshold).astype(float)
 
@@ -342,28 +344,13 @@ def evaluate(
         }
         for stratum, rows in strata(chosen).items():
             images = chosen.image_of[rows]
-            intervals = bootstrap_intervals(
-                [of_rule['iou'][rows] for of_rule in values.values()],
-                images,
-                settings.bootstrap,
-                settings.seed,
-            )
+            counts = {'ships': len(images), 'images': len(np.unique(images))}
+            ious = [of_rule['iou'][rows] for of_rule in values.values()]
+            intervals = bootstrap_intervals(ious, images, settings.bootstrap, settings.seed)
             for (name, rule), (low, high) in zip(rules.items(), intervals, strict=True):
-                means: dict[str, Any] = {
-                    key: mean(value[rows]) for key, value in values[name].items()
-                }
-                scores.append(
-                    Score(
-                        protocol=protocol,
-                        stratum=stratum,
-                        **(asdict(rule) | {'method': name}),
-                        ships=len(images),
-                        images=len(np.unique(images)),
-                        iou_low=low,
-                        iou_high=high,
-                        **means,
-                    )
-                )
+                facts: dict[str, Any] = asdict(rule) | {'method': name} | counts
+                facts |= {key: mean(value[rows]) for key, value in values[name].items()}
+                scores.append(Score(protocol, stratum, iou_low=low, iou_high=high, **facts))
     return scores
 
 
@@ -411,10 +398,8 @@ def ship_metrics(
 
 def mean(values: FloatArray) -> float:
     """Average a metric over the ships, (N,), where it is known; NaN if it is known for none."""
-    if np.isfinite(total := float(values.mean())):
-        return total
-    finite = values[~np.isnan(values)]
-    return float(finite.mean()) if finite.size else np.nan
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else np.nan
 
 
 def offsets(

@@ -107,6 +107,11 @@ def _add_box(axes: Any, xyxy: FloatArray, color: str, width: float) -> None:
     axes.add_patch(patches.Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=color, lw=width))
 
 
+def _add_oriented_box(axes: Any, corners: FloatArray) -> None:
+    """Outline an oriented box by its corners, (4, 2)."""
+    axes.add_patch(patches.Polygon(corners, fill=False, ec=ORIENTED_COLOR, ls=_DASHES))
+
+
 @_styled()
 def angle_figure(scores: Sequence[evaluation.Score]) -> Figure:
     """
@@ -129,25 +134,18 @@ def _draw_bands(axes: Any, by_stratum: Mapping[str, Mapping[str, evaluation.Scor
     bands = list(evaluation.TILT_BANDS)
     for index, method in enumerate(next(iter(by_stratum.values()))):
         scores = {x: by_stratum[band][method] for x, band in enumerate(bands) if band in by_stratum}
+        means = [score.iou for score in scores.values()]
         spread = np.array([[s.iou - s.iou_low, s.iou_high - s.iou] for s in scores.values()])
-        axes.errorbar(
-            list(scores),
-            [score.iou for score in scores.values()],
-            np.nan_to_num(spread.reshape(-1, 2)).clip(0.0).T,
-            label=method,
-            color=color_of(method),
-            marker=_MARKERS[index % len(_MARKERS)],
-            lw=2.2 if method == 'superellipse' else 1.4,
-            capsize=2,
-            ls='--' if method.endswith('published') else '-',
-        )
-    axes.set(
-        xticks=range(len(bands)),
-        xticklabels=bands,
-        xlim=(-0.25, len(bands) - 0.75),
-        ylim=(0.0, 1.0),
-        ylabel='mean IoU',
-    )
+        style = {
+            'color': color_of(method),
+            'marker': _MARKERS[index % len(_MARKERS)],
+            'lw': 2.2 if method == 'superellipse' else 1.4,
+            'ls': '--' if method.endswith('published') else '-',
+        }
+        errors = np.nan_to_num(spread.reshape(-1, 2)).clip(0.0).T
+        axes.errorbar(list(scores), means, errors, label=method, capsize=2, **style)
+    axes.set(xticks=range(len(bands)), xticklabels=bands, xlim=(-0.25, len(bands) - 0.75))
+    axes.set(ylim=(0.0, 1.0), ylabel='mean IoU')
 
 
 @_styled()
@@ -159,14 +157,8 @@ def surface_figure(surfaces: Mapping[str, Surface]) -> Figure:
     for axes, (title, surface) in zip(panels, surfaces.items(), strict=True):
         _draw_surface(axes, best_s[title], limits)
         grid = surface.grid
-        axes.set(
-            xticks=range(len(grid.q)),
-            xticklabels=[f'{q:g}' for q in grid.q],
-            xlabel='q',
-            yticks=range(len(grid.f)),
-            yticklabels=[f'{f:g}' for f in grid.f],
-            ylabel='f',
-        )
+        axes.set(xlabel='q', xticks=range(len(grid.q)), xticklabels=[f'{q:g}' for q in grid.q])
+        axes.set(ylabel='f', yticks=range(len(grid.f)), yticklabels=[f'{f:g}' for f in grid.f])
         q, f, s = surface.best()
         axes.set_title(f'{title}: best q {q:g}, f {f:g}, s {s:g}', fontsize=10)
     return figure
@@ -229,9 +221,7 @@ def hull_panel() -> Figure:
         for axes, family in zip(row, FAMILIES.values(), strict=True):
             hull = family.outline(full) * [1.0, 1.0 / aspect] @ turn
             axes.add_patch(patches.Polygon(hull, facecolor=_HULL, edgecolor=_HULL_EDGE))
-            axes.add_patch(
-                patches.Polygon(corners, fill=False, edgecolor=ORIENTED_COLOR, ls=_DASHES)
-            )
+            _add_oriented_box(axes, corners)
             _add_box(axes, bounds(hull), METHOD_COLORS['superellipse'], 2.0)
             axes.set(xlim=(-1.2, 1.2), ylim=(0.8, -0.8), xticks=[], yticks=[], aspect='equal')
             axes.set_title(f'{family.name} {full:.2f}', fontsize=9)
@@ -289,11 +279,7 @@ def _draw_ships(
         hull = labels.hulls[row]
         if hull is not None:
             axes.add_patch(patches.Polygon(hull, facecolor=_HULL, edgecolor='none'))
-        axes.add_patch(
-            patches.Polygon(
-                labels.corners[row], fill=False, edgecolor=ORIENTED_COLOR, lw=1.0, ls=_DASHES
-            )
-        )
+        _add_oriented_box(axes, labels.corners[row])
         for width, (name, xyxy) in zip(widths, boxes.items(), strict=True):
             _add_box(axes, xyxy[row], color_of(name), width)
 

@@ -69,11 +69,6 @@ class GalleryChip:
     size: int | None
 
     @property
-    def rank(self) -> tuple[float, int, str]:
-        """Sort key: the most valuable first, then the oldest."""
-        return -self.facts['value'], self.time, self.facts['id']
-
-    @property
     def stamp(self) -> Stamp:
         """Stamp of the image."""
         return self.facts['stamp']['sec'], self.facts['stamp']['nanosec']
@@ -92,7 +87,7 @@ class Received:
     Attributes
     ----------
     chips : list of GalleryChip
-        The chips that have a usable JSON, most valuable first.
+        The chips that have a usable JSON, the most valuable first, then the oldest.
     problems : list of str
         What is wrong, a line each; starts with the name of the file.
     """
@@ -126,7 +121,7 @@ def read_received(folder: Path) -> Received:
         if chip.damage:
             name = printable(str(chip.path.relative_to(folder)))
             received.problems.append(f'{name}: {chip.damage}')
-    received.chips.sort(key=lambda chip: chip.rank)
+    received.chips.sort(key=lambda chip: (-chip.facts['value'], chip.time, chip.facts['id']))
     orphans = [path for path in files if path.suffix in _SUFFIXES and path not in named]
     if orphans:
         first = printable(str(orphans[0].relative_to(folder)))

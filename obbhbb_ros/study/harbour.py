@@ -119,20 +119,15 @@ def passing(labels: ImageLabels, count: int) -> Iterator[ImageLabels]:
 
 def _moor(random: np.random.Generator, x: float, y: float, heading: float) -> Iterator[Ship]:
     """Lay ships side by side, bow to the pier."""
-    across = -np.sin(heading), np.cos(heading)
+    along = np.array([np.cos(heading), np.sin(heading)])
+    across = np.array([-np.sin(heading), np.cos(heading)])
     offset = 0.0
     for _ in range(_BERTHS):
         length = random.uniform(90.0, 130.0)
         width = length / random.uniform(4.0, 7.0)
         offset += width / 2.0
-        yield Ship(
-            x + across[0] * offset - np.cos(heading) * length / 2.0,
-            y + across[1] * offset - np.sin(heading) * length / 2.0,
-            length,
-            width,
-            heading,
-            'cargo',
-        )
+        center = (x, y) + across * offset - along * length / 2.0
+        yield Ship(center[0], center[1], length, width, heading, 'cargo')
         offset += width / 2.0 + _GAP
 
 

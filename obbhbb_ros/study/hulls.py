@@ -137,14 +137,9 @@ def synthetic_ships(
         outlines += [family.outline(full)] * (aspects * angles)
     axes = np.stack((long_axis, short_axis)).transpose(2, 0, 1)
     hulls = [hull @ turn + c for hull, turn, c in zip(outlines, axes, center.T, strict=True)]
+    intact, no_bow = np.zeros(count, np.uint8), np.zeros(count, np.bool_)
     return Ships(
-        boxes=OrientedBoxes(
-            center.T,
-            long_axis.T,
-            short_axis.T,
-            defects=np.zeros(count, np.uint8),
-            bow=np.zeros(count, np.bool_),
-        ),
+        boxes=OrientedBoxes(center.T, long_axis.T, short_axis.T, intact, no_bow),
         reference=np.array([bounds(hull) for hull in hulls]),
         class_ids=np.array(names),
         image_of=np.arange(count),

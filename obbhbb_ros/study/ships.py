@@ -121,12 +121,6 @@ class Ships:
             skipped=self.skipped,
         )
 
-    def class_index(self, names: Iterable[str]) -> NDArray[np.intp]:
-        """Find the class of each ship among some classes: its index, -1 if it is another."""
-        number = {name: index for index, name in enumerate(names)}
-        numbers = [number.get(name, -1) for name in self.class_ids.tolist()]
-        return np.array(numbers, dtype=np.intp)
-
     @property
     def image_count(self) -> int:
         """Number of images."""

@@ -69,16 +69,9 @@ def status_text(status: Status) -> str:
 def chip_table(chips: Iterable[StoredChip]) -> str:
     """Write chips as a table, in the order of their release."""
     rows = [('id', 'class', 'value', 'kB', 'state')]
-    rows += [
-        (
-            chip.id,
-            printable(chip.class_id),
-            f'{chip.value:.4g}',
-            f'{chip.bytes / 1e3:.1f}',
-            STATES[chip.state],
-        )
-        for chip in chips
-    ]
+    for chip in chips:
+        value, size = f'{chip.value:.4g}', f'{chip.bytes / 1e3:.1f}'
+        rows.append((chip.id, printable(chip.class_id), value, size, STATES[chip.state]))
     return '\n'.join(aligned(rows, left=(0, 1, 4)))
 
 

@@ -57,11 +57,11 @@ def score_tables(
 
 
 def known_metrics(scores: Sequence[evaluation.Score]) -> dict[str, evaluation.Metric]:
-    """Select the metrics that are known for at least one of the scores."""
+    """Select the metrics, besides mean IoU, that are known for at least one of the scores."""
     return {
         name: metric
         for name, metric in evaluation.METRICS.items()
-        if not all(np.isnan(getattr(score, name)) for score in scores)
+        if name != 'iou' and not all(np.isnan(getattr(score, name)) for score in scores)
     }
 
 
@@ -70,18 +70,14 @@ def _score_table(
 ) -> str:
     """Tabulate the metrics of methods."""
     shown = known_metrics(scores)
-    head = ['method', 'q / f / s', *(metric.heading(settings) for metric in shown.values())]
+    head = ['method', 'q / f / s', 'mean IoU', '95 % interval']
+    head += [metric.heading(settings) for metric in shown.values()]
     rows = []
     for score in scores:
+        low, high = score.iou_low, score.iou_high
+        interval = '' if np.isnan(low) else f'{low:.3f}-{high:.3f}'
         cells = [f'{getattr(score, name):{metric.form}}' for name, metric in shown.items()]
-        rows.append([score.method, tuned_text(score), *cells])
-    intervals = [
-        '' if np.isnan(score.iou_low) else f'{score.iou_low:.3f}-{score.iou_high:.3f}'
-        for score in scores
-    ]
-    # Next to the mean IoU.
-    for line, cell in zip([head, *rows], ['95 % interval', *intervals], strict=True):
-        line.insert(3, cell)
+        rows.append([score.method, tuned_text(score), f'{score.iou:.4f}', interval, *cells])
     return text_table(head, rows)
 
 
@@ -96,19 +92,14 @@ def tuned_text(score: evaluation.Score) -> str:
 
 def _offset_table(offsets: Sequence[evaluation.Offset]) -> str:
     """Tabulate offsets of centres and sides."""
-    rows = [
-        [
-            offset.method,
-            f'{offset.x:+.2f}',
-            _pixel_range(offset.x_interval),
-            f'{offset.y:+.2f}',
-            _pixel_range(offset.y_interval),
-            *(f'{side:+.2f}' for side in (offset.left, offset.top, offset.right, offset.bottom)),
-        ]
-        for offset in offsets
-    ]
+    sides = ('left', 'top', 'right', 'bottom')
+    rows = []
+    for offset in offsets:
+        x = (f'{offset.x:+.2f}', _pixel_range(offset.x_interval))
+        y = (f'{offset.y:+.2f}', _pixel_range(offset.y_interval))
+        rows.append([offset.method, *x, *y, *(f'{getattr(offset, side):+.2f}' for side in sides)])
     centre = ('centre x', '95 % interval', 'centre y', '95 % interval')
-    return text_table(('method', *centre, 'left', 'top', 'right', 'bottom'), rows)
+    return text_table(('method', *centre, *sides), rows)
 
 
 def _pixel_range(interval: Interval) -> str:

@@ -20,6 +20,7 @@ from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.study.bootstrap import bootstrap_intervals
 from obbhbb_ros.study.bootstrap import draws
 from obbhbb_ros.study.bootstrap import median_intervals
+from obbhbb_ros.study.cross_validation import class_groups
 from obbhbb_ros.study.evaluation import ALL
 from obbhbb_ros.study.evaluation import METRICS
 from obbhbb_ros.study.evaluation import EvaluationSettings
@@ -175,7 +176,7 @@ def test_images_are_drawn_as_a_whole() -> None:
 def test_each_class_is_converted_under_its_own_rule() -> None:
     ships = fleet([[4, 4, 9, 3, 0.4]] * 2, classes=['tug', 'ship'])
     tug, other = HullRule('superellipse', 5.0), HullRule('outer')
-    rule_of = ships.class_index(['tug', 'ship'])
+    rule_of = class_groups(['tug', 'ship'], ships, ships)
     xyxy = to_xyxy(*centers_and_extents(ships.boxes, [tug, other], rule_of))
     np.testing.assert_array_equal(xyxy[:1], convert_by_rule(ships.boxes, tug)[:1])
     np.testing.assert_array_equal(xyxy[1:], convert_by_rule(ships.boxes, other)[1:])
