@@ -3,7 +3,8 @@
 From the spool to the outbox: what is released, when, and when it counts as delivered.
 
 A chip is claimed in the catalogue, written to the outbox, and recorded as released, each on disk
-before the next begins. After any interruption the outbox tells which claimed chips got there.
+before the next begins. After any interruption the outbox tells which claimed chips got there. The
+bus may have taken the others, so they stay claimed, which saves them from eviction, and go first.
 """
 
 from __future__ import annotations
@@ -75,10 +76,10 @@ class Phase(Enum):
 
 
 class ReleaseBatch(NamedTuple):
-    """Ids of claimed chips: those that are in the outbox, and those that are not."""
+    """Ids of claimed chips: those put into the outbox, and those that never were."""
 
-    put: list[str]
-    left: list[str]
+    put: set[str]
+    left: set[str]
 
 
 class OutboxFeeder:
@@ -124,7 +125,9 @@ class OutboxFeeder:
         self._budget = settings.budget
         self._bucket = TokenBucket(settings.budget, clock())
         self._phase = Phase.RECOVER
-        self._batch = ReleaseBatch([], [])
+        self._batch = ReleaseBatch(set(), set())
+        # Claimed chips that may have been in the outbox: the bus may have taken them.
+        self._unsure: set[str] = set()
         self._contents = Contents()
         self._look_at = 0.0
 
@@ -183,8 +186,10 @@ class OutboxFeeder:
         claimed = set(self._spool.claimed_ids())
         # The bus may have taken some that were put there before the interruption.
         put = claimed & contents.complete.union(self._batch.put)
-        self._batch = ReleaseBatch(list(put), list(claimed - put))
-        self._outbox.remove_unfinished(self._batch.left)
+        missing = claimed - put
+        self._batch = ReleaseBatch(put, missing & self._batch.left)
+        self._unsure = missing - self._batch.left
+        self._outbox.remove_unfinished(missing)
 
     def _check_outbox(self) -> None:
         """Refuse an outbox that is not the one that chips have gone into; it may be unmounted."""
@@ -234,7 +239,7 @@ class OutboxFeeder:
         self._contents = self._outbox.contents()
         # It may have been unmounted while it was read.
         self._check_outbox()
-        self._spool.delivered([chip_id for chip_id in released if chip_id not in self._contents])
+        self._spool.delivered(set(released) - self._contents.ids)
         done = self._clock()
         self._look_at = done + max(_LOOK, (done - now) / _LOOK_SHARE)
 
@@ -249,11 +254,15 @@ class OutboxFeeder:
         room = self._room_in_outbox(settings) + overhead
         max_room = (settings.max_bytes or inf) + overhead
         claim = self._spool.claim(
-            _BATCH, min(self.available, room), min(self._bucket.burst, max_room), overhead
+            _BATCH,
+            min(self.available, room),
+            min(self._bucket.burst, max_room),
+            overhead,
+            is_resumed=bool(self._unsure),
         )
         if not claim.chips:
             return self._stall(claim, room, max_room)
-        self._batch = ReleaseBatch([], [chip.id for chip, _ in claim.chips])
+        self._batch = ReleaseBatch(set(), {chip.id for chip, _ in claim.chips} - self._unsure)
         for chip, data in claim.chips:
             if not self._put(chip, data):
                 break
@@ -267,7 +276,8 @@ class OutboxFeeder:
         description = describe_intact(chip, data)
         if description is None:
             self._spool.evict_damaged(chip.id)
-            self._batch.left.remove(chip.id)
+            self._batch.left.discard(chip.id)
+            self._unsure.discard(chip.id)
             self._on_trouble(f'{chip.id} is damaged in the spool and was evicted')
             return True
         size = len(data) + len(json_bytes(description))
@@ -277,6 +287,7 @@ class OutboxFeeder:
         level = level_of(chip.value, settings.levels)
         suffix = CODECS[description['codec']].suffix
         self._bucket.spend(cost, self._clock())
+        self._batch.left.discard(chip.id)
         try:
             self._outbox.put(chip.id, suffix, data, description, level)
         except OSError:
@@ -285,8 +296,8 @@ class OutboxFeeder:
                 self._bucket.give_back(cost)
             raise
         self._contents.bytes += size
-        self._batch.left.remove(chip.id)
-        self._batch.put.append(chip.id)
+        self._unsure.discard(chip.id)
+        self._batch.put.add(chip.id)
         return True
 
     def _stall(self, claim: Claim, room: float, max_room: float) -> float:

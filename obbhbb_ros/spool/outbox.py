@@ -37,21 +37,17 @@ class Contents:
 
     Attributes
     ----------
+    ids : set of str
+        Ids of the chips of which any file is there.
     complete : set of str
-        Ids of the chips with JSON.
-    partial : set of str
-        Ids of which only one of the two files is there.
+        Ids of the chips with JSON; without a chip file, the bus is removing them.
     bytes : int
         Bytes of all files.
     """
 
+    ids: set[str] = field(default_factory=set)
     complete: set[str] = field(default_factory=set)
-    partial: set[str] = field(default_factory=set)
     bytes: int = 0
-
-    def __contains__(self, chip_id: str) -> bool:
-        """Return whether any file of a chip is there."""
-        return chip_id in self.complete or chip_id in self.partial
 
 
 class Outbox:
@@ -112,23 +108,20 @@ class Outbox:
 
     def contents(self) -> Contents:
         """List what is in the outbox; OSError if it cannot be read."""
-        contents, suffixes = Contents(), dict[str, set[str]]()
+        contents = Contents()
         for folder in self._levels():
             for entry in os.scandir(folder):
                 if entry.name.startswith(_HIDDEN):
                     continue
-                stem, suffix = os.path.splitext(entry.name)
-                suffixes.setdefault(stem, set()).add(suffix)
                 try:
                     contents.bytes += entry.stat().st_size
                 except FileNotFoundError:
                     # The bus has just taken it.
-                    suffixes[stem].discard(suffix)
-        for stem, ends in suffixes.items():
-            if JSON_SUFFIX in ends and len(ends) > 1:
-                contents.complete.add(stem)
-            elif ends:
-                contents.partial.add(stem)
+                    continue
+                chip_id, suffix = os.path.splitext(entry.name)
+                contents.ids.add(chip_id)
+                if suffix == JSON_SUFFIX:
+                    contents.complete.add(chip_id)
         return contents
 
     def remove_unfinished(self, ids: Collection[str]) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable
-from collections.abc import Sequence
+from collections.abc import Collection
+from collections.abc import Iterable
 from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
@@ -66,7 +67,9 @@ class SpoolReleaser(SpoolAccess):
     def __init__(self, folder: Path, on_trouble: Callable[[str], object]) -> None:
         super().__init__(folder, on_trouble, self._keep_others_out)
 
-    def claim(self, count: int, room: float, max_cost: float, overhead: int) -> Claim:
+    def claim(
+        self, count: int, room: float, max_cost: float, overhead: int, is_resumed: bool = False
+    ) -> Claim:
         """
         Claim the next chips; a claimed chip is not evicted.
 
@@ -80,6 +83,8 @@ class SpoolReleaser(SpoolAccess):
             Maximum bytes of one chip; larger ones are passed over.
         overhead : int
             Bytes that a chip costs besides its file and JSON.
+        is_resumed : bool
+            Whether chips that are claimed already come first.
 
         Returns
         -------
@@ -87,7 +92,8 @@ class SpoolReleaser(SpoolAccess):
             The chips, and why there are no more.
         """
         with self._catalogue.transaction(write=True) as rows:
-            claim = _next_chips(rows, count, room, max_cost, overhead)
+            states = [ChipState.CLAIMED, ChipState.WAITING] if is_resumed else [ChipState.WAITING]
+            claim = _next_chips(rows, states, count, room, max_cost, overhead)
             rows.executemany(
                 'UPDATE chips SET state = ? WHERE seq = ?',
                 [(ChipState.CLAIMED, chip.seq) for chip, _ in claim.chips],
@@ -95,11 +101,11 @@ class SpoolReleaser(SpoolAccess):
             if claim.chips or claim.stall:
                 return claim
             (waiting,) = rows.execute(
-                'SELECT chips FROM totals WHERE state = ?', (ChipState.WAITING,)
+                'SELECT sum(chips) FROM totals WHERE state <= ?', (max(states),)
             ).fetchone()
             return Claim([], Stall.ALL_TOO_LARGE if waiting else Stall.NOTHING_WAITS)
 
-    def unclaim(self, ids: Sequence[str]) -> None:
+    def unclaim(self, ids: Collection[str]) -> None:
         """Put claimed chips back into their place."""
         if ids:
             with self._catalogue.transaction(write=True) as rows:
@@ -108,7 +114,7 @@ class SpoolReleaser(SpoolAccess):
                     [(ChipState.WAITING, chip_id, ChipState.CLAIMED) for chip_id in ids],
                 )
 
-    def released(self, ids: Sequence[str], is_delivered: bool) -> None:
+    def released(self, ids: Collection[str], is_delivered: bool) -> None:
         """Write down that claimed chips are in the outbox, and whether that delivers them."""
         if ids:
             with self._catalogue.transaction(write=True) as rows:
@@ -121,7 +127,7 @@ class SpoolReleaser(SpoolAccess):
                 if is_delivered:
                     deliver(rows, ids)
 
-    def delivered(self, ids: Sequence[str]) -> None:
+    def delivered(self, ids: Collection[str]) -> None:
         """Write down that the bus has taken chips from the outbox."""
         if ids:
             with self._catalogue.transaction(write=True) as rows:
@@ -170,19 +176,23 @@ class SpoolReleaser(SpoolAccess):
 
 
 def _next_chips(
-    rows: sqlite3.Cursor, count: int, room: float, max_cost: float, overhead: int
+    rows: sqlite3.Cursor,
+    states: Iterable[int],
+    count: int,
+    room: float,
+    max_cost: float,
+    overhead: int,
 ) -> Claim:
-    """Read the next chips that have room; the first that has none ends it."""
+    """Read the next chips that have room, state by state; the first that has none ends it."""
     chips: list[tuple[StoredChip, bytes]] = []
-    for cost, *fields in rows.execute(
-        f'SELECT {_COST} + ?, {COLUMNS} FROM chips WHERE state = ? AND {_COST} + ? <= ? '
-        'ORDER BY value DESC, seq LIMIT ?',
-        (overhead, ChipState.WAITING, overhead, max_cost, count),
-    ).fetchall():
-        if cost > room:
-            return Claim(chips, Stall.NO_ROOM, cost)
-        room -= cost
-        chip = StoredChip(*fields)
-        (data,) = rows.execute('SELECT data FROM chips WHERE seq = ?', (chip.seq,)).fetchone()
-        chips.append((chip, data))
+    for state in states:
+        for cost, data, *fields in rows.execute(
+            f'SELECT {_COST} + ? AS cost, data, {COLUMNS} FROM chips '
+            'WHERE state = ? AND cost <= ? ORDER BY value DESC, seq LIMIT ?',
+            (overhead, state, max_cost, count - len(chips)),
+        ):
+            if cost > room:
+                return Claim(chips, Stall.NO_ROOM, cost)
+            room -= cost
+            chips.append((StoredChip(*fields), data))
     return Claim(chips)

@@ -434,6 +434,92 @@ def test_a_release_that_was_not_recorded_is_looked_up(
     ground.close()
 
 
+@pytest.mark.parametrize('settings', [RELEASE, REMOVAL], ids=['release', 'removal'])
+@pytest.mark.parametrize('is_contact', [False, True])
+def test_a_chip_that_the_bus_may_have_taken_is_delivered_rather_than_evicted(
+    tmp_path, monkeypatch, settings, is_contact
+) -> None:
+    ground = Ground(tmp_path, settings)
+    ground.steps()
+    store(ground.writer, [0.2, 0.1])
+    killed_after(ground, monkeypatch, 1)
+    ground.remove([0.2])
+    # More valuable ones come before the next start and after it, and there is no room for all.
+    store(ground.writer, [1.0] * 20)
+    ground.set_contact(is_contact)
+    ground.steps()
+    store(ground.writer, [1.0] * 40, 9000, 200_000.0)
+    assert ground.status().counts['evicted.max_bytes'] > 0
+    ground.set_contact(True)
+    ground.steps(8)
+    assert ground.out()[-2:] == [0.2, 0.1]
+    assert ground.claimed() == []
+    ground.close()
+
+
+def test_a_chip_that_the_bus_is_removing_at_the_start_is_not_released_again(
+    tmp_path, monkeypatch
+) -> None:
+    ground = Ground(tmp_path, REMOVAL)
+    ground.steps()
+    store(ground.writer, [0.9, 0.8])
+    killed_after(ground, monkeypatch, 1)
+    # The bus removes the JSON last.
+    (chip,) = (tmp_path / 'outbox').glob('*/*.jpg')
+    chip.unlink()
+    order = noted_puts(monkeypatch)
+    ground.steps(2, 100.0)
+    assert order == [0.8]
+    assert ground.status().in_outbox == 2
+    (tmp_path / 'outbox' / '0' / f'{chip.stem}.json').unlink()
+    ground.steps(1, 100.0)
+    assert ground.status().counts['delivered'] == 1
+    ground.close()
+
+
+def test_a_chip_of_an_interrupted_release_that_is_too_large_now_holds_up_nothing(
+    ground, monkeypatch
+) -> None:
+    ground.steps()
+    ground.writer.store(ground.writer.plan(2), [new_chip(0.9, 5000), new_chip(0.8, 5000)], {})
+    killed_after(ground, monkeypatch, 0)
+    ground.set(max_bytes=2000.0)
+    ground.steps(2)
+    assert ground.feeder.stalled_by == 'all chips that wait are larger than outbox.max_bytes'
+    store(ground.writer, [0.1])
+    ground.steps(2)
+    assert ground.out() == [0.1]
+    ground.set(max_bytes=0.0)
+    ground.steps(2)
+    assert ground.out() == [0.9, 0.8, 0.1]
+    assert ground.status().counts['delivered'] == 3
+
+
+def test_a_failed_write_that_got_to_the_bus_is_delivered_rather_than_evicted(
+    ground, monkeypatch
+) -> None:
+    store(ground.writer, [0.2, 0.1])
+    real = Outbox.put
+
+    def put(self, *args):
+        real(self, *args)
+        ground.remove([0.2])
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Outbox, 'put', put)
+        ground.steps()
+    ground.set_contact(False)
+    ground.steps()
+    assert len(ground.claimed()) == 1
+    store(ground.writer, [1.0] * 40, 9000, 200_000.0)
+    ground.set_contact(True)
+    ground.steps(4)
+    assert ground.out()[-1] == 0.2
+    # The other was never tried, and had its turn.
+    assert 0.1 not in ground.out()
+
+
 def test_unfinished_files_of_an_interrupted_release_are_removed(ground, monkeypatch) -> None:
     store(ground.writer, [0.9, 0.8])
     ground.steps(0)
