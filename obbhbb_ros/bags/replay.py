@@ -74,6 +74,9 @@ MAX_WAITING_STRETCHES = 8
 Report: TypeAlias = Callable[[str], None]
 Progress: TypeAlias = Callable[[Iterable[Any], int], Iterable[Any]]
 
+_Input: TypeAlias = tuple[bytes, tuple[int, int]]
+"""A message to be converted, and width and height in the last camera info before it."""
+
 
 class DamagedBagError(ObbhbbError, ValueError):
     """A bag that cannot be read to its end."""
@@ -218,7 +221,7 @@ def _replay(
         settings = _settings(topics, options, report)
         kept = _kept(reader.connections, topics, options.replace)
         with _writer(source, target, reader, options) as writer:
-            replay = _Replay(reader, topics, settings, report)
+            replay = _Replay(reader, settings, report, BagTally(topics))
             copies = add_topics(writer, kept)
             answers = [add_output(writer, topic, kept) for topic in topics.outputs]
             replay.write(writer, copies, answers, progress)
@@ -251,19 +254,17 @@ def _settings(topics: Topics, options: ReplayOptions, report: Report) -> Convers
         namespace = topics.detections.rpartition('/')[0]
         values = read_values(options.params_file, options.node or f'{namespace}/obb_to_hbb')
     classes = [*OBB_TO_HBB.mentioned_classes(values), *OBB_TO_HBB.class_ids(values)]
-    known = OBB_TO_HBB.parameters(classes).keys() | _OF_EVERY_NODE
-    unknown = sorted(
-        name for name in values.keys() - known if not name.startswith('qos_overrides.')
-    )
-    if unknown:
-        report(f'{options.params_file}: unknown parameters, ignored: {", ".join(unknown)}')
+    names = OBB_TO_HBB.parameters(classes).keys() | _OF_EVERY_NODE
+    extra = sorted(name for name in values.keys() - names if not name.startswith('qos_overrides.'))
+    if extra:
+        report(f'{options.params_file}: unknown parameters, ignored: {", ".join(extra)}')
     return OBB_TO_HBB.settings(values)
 
 
 def _kept(connections: Sequence[Connection], topics: Topics, replace: bool) -> list[Connection]:
     """List what is copied: everything but earlier boxes and crop regions."""
-    topics_there = [connection.topic for connection in connections]
-    earlier = [topic for topic in topics_there if topic in topics.outputs]
+    outputs = topics.outputs
+    earlier = [connection.topic for connection in connections if connection.topic in outputs]
     if earlier and not replace:
         raise ValueError(f'the bag has {" and ".join(earlier)} already; --replace leaves them out')
     return [connection for connection in connections if connection.topic not in earlier]
@@ -294,10 +295,10 @@ def _has_compressed_chunks(path: Path) -> bool:
 
 
 class _Stretch(NamedTuple):
-    """Consecutive messages of a bag; of those to be converted also bytes and camera size."""
+    """Consecutive messages of a bag, and those of them that are to be converted."""
 
     messages: list[tuple[Connection, int, bytes]]
-    inputs: list[tuple[bytes, tuple[int, int]]]
+    inputs: list[_Input]
 
 
 class _Answer(NamedTuple):
@@ -309,9 +310,9 @@ class _Answer(NamedTuple):
 
 
 def answers_to(
-    input_type: str, settings: ConversionSettings, inputs: Iterable[tuple[bytes, tuple[int, int]]]
+    input_type: str, settings: ConversionSettings, inputs: Iterable[_Input]
 ) -> list[_Answer]:
-    """Convert messages; each comes with the camera size of its time."""
+    """Convert messages as the node would."""
     answers = []
     for data, camera_size in inputs:
         messages: dict[int, bytes] = {}
@@ -326,19 +327,17 @@ def answers_to(
     return answers
 
 
+@dataclass
 class _Replay:
     """Copies the messages of one bag, and adds the answers of the node."""
 
-    def __init__(
-        self, reader: Reader, topics: Topics, settings: ConversionSettings, report: Report
-    ) -> None:
-        self.tally = BagTally(topics)
-        self._reader = reader
-        self._report = report
-        self._convert = partial(answers_to, topics.input_type.name, settings)
-        self._camera_size = (0, 0)
-        self._cameras = 0
-        self._complaints: set[str] = set()
+    reader: Reader
+    settings: ConversionSettings
+    report: Report
+    tally: BagTally
+    camera_size: tuple[int, int] = (0, 0)
+    cameras: int = 0
+    complaints: set[str] = field(default_factory=set)
 
     def write(
         self,
@@ -348,10 +347,11 @@ class _Replay:
         progress: Progress,
     ) -> None:
         """Write all messages in their order, each followed by its answers."""
-        stretches = self._stretches(progress(self._messages(), self._reader.message_count))
-        inputs = filter(self._is_input, self._reader.connections)
+        stretches = self._stretches(progress(self._messages(), self.reader.message_count))
+        convert = partial(answers_to, self.tally.topics.input_type.name, self.settings)
+        inputs = filter(self._is_input, self.reader.connections)
         expected = sum(connection.msgcount for connection in inputs)
-        for stretch, answers in _converted(stretches, self._convert, expected > FEW_MESSAGES):
+        for stretch, answers in _converted(stretches, convert, expected > FEW_MESSAGES):
             waiting = iter(answers)
             for connection, moment, data in stretch.messages:
                 if copy := copies.get(connection.id):
@@ -377,13 +377,13 @@ class _Replay:
         """Read all messages."""
         count = 0
         try:
-            for message in self._reader.messages():
+            for message in self.reader.messages():
                 yield message
                 count += 1
         # Any exception: the libraries raise errors of many kinds for broken bytes.
         except Exception as error:
             raise DamagedBagError(f'after {count} messages: {error}') from error
-        if count != (expected := self._reader.message_count):
+        if count != (expected := self.reader.message_count):
             raise DamagedBagError(f'it has {count} messages, but its metadata says {expected}')
 
     def _stretches(self, messages: Iterable[tuple[Connection, int, bytes]]) -> Iterator[_Stretch]:
@@ -394,7 +394,7 @@ class _Replay:
             stretch.messages.append(message)
             size += len(data)
             if self._is_input(connection):
-                stretch.inputs.append((data, self._camera_size))
+                stretch.inputs.append((data, self.camera_size))
             elif self._is_camera_info(connection):
                 self._learn_size(connection, data)
             if size > STRETCH_BYTES:
@@ -404,12 +404,12 @@ class _Replay:
 
     def _learn_size(self, connection: Connection, data: bytes) -> None:
         """Take the size of the image from a camera info."""
-        self._cameras += 1
+        self.cameras += 1
         try:
-            self._camera_size = read_image_size(data)
+            self.camera_size = read_image_size(data)
         except WireError as error:
             self.tally.counts['messages_unreadable'] += 1
-            self._report(f'message {self._cameras} on {connection.topic} cannot be read: {error}')
+            self.report(f'message {self.cameras} on {connection.topic} cannot be read: {error}')
 
     def _noted(self, answer: _Answer) -> dict[int, bytes]:
         """Count and report what became of a message; complaints about every message only once."""
@@ -417,16 +417,14 @@ class _Replay:
         counts['messages_received'] += 1
         counts.update(answer.counts)
         for kind, text in answer.complaints.items():
-            if kind == UNREADABLE or kind not in self._complaints:
-                self._report(f'message {counts["messages_received"]} on {topic}: {text}')
-            self._complaints.add(kind)
+            if kind == UNREADABLE or kind not in self.complaints:
+                self.report(f'message {counts["messages_received"]} on {topic}: {text}')
+            self.complaints.add(kind)
         return answer.messages
 
 
 def _converted(
-    stretches: Iterable[_Stretch],
-    convert: Callable[[list[tuple[bytes, tuple[int, int]]]], list[_Answer]],
-    many: bool,
+    stretches: Iterable[_Stretch], convert: Callable[[list[_Input]], list[_Answer]], many: bool
 ) -> Iterator[tuple[_Stretch, list[_Answer]]]:
     """Convert stretches in their order; if there are many messages, in parallel processes."""
     processors = os.cpu_count() or 1

@@ -47,7 +47,7 @@ from obbhbb_ros.damaged_sqlite import Gap
 from obbhbb_ros.damaged_sqlite import lossy_text
 from obbhbb_ros.damaged_sqlite import rows_around_damage
 
-_SUFFIXES = ('.mcap', '.db3')
+_STORAGE_NAME = re.compile(r'.\.(mcap|db3)(\.(.*\.)?zstd)?$')
 # Opcode, length, first and last time, size, checksum, length of the compression's name.
 _CHUNK_HEAD = struct.Struct('<BQQQQII')
 _MAX_CHUNK_BYTES = 2**26
@@ -74,18 +74,14 @@ class _Topic(NamedTuple):
 def storage_files(source: Path) -> list[Path]:
     """List the storage files of a bag in their order."""
     paths = source.iterdir() if source.is_dir() else [source]
-    return sorted(
-        (
-            path
-            for path in paths
-            if path.is_file()
-            and path.suffix in (*_SUFFIXES, '.zstd')
-            and any(suffix in path.suffixes for suffix in _SUFFIXES)
-        ),
-        key=lambda path: [
-            int(part) if part.isdigit() else part for part in re.split(r'(\d+)', path.name)
-        ],
-    )
+    files = (path for path in paths if path.is_file() and _STORAGE_NAME.search(path.name))
+    return sorted(files, key=_parts_of_name)
+
+
+def _parts_of_name(path: Path) -> list[str | int]:
+    """Divide a file name into text and numbers: bag_10.db3 comes after bag_9.db3."""
+    parts = re.split(r'(\d+)', path.name)
+    return [int(part) if part.isdecimal() else part for part in parts]
 
 
 def rescue(source: Path, target: Path, report: Report) -> int:
@@ -233,15 +229,11 @@ def _mcap_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, byte
                 if channel is None or schema is None:
                     lose(f'{path.name}: a message at {record.log_time} is of an unknown topic')
                     continue
-                topic = _Topic(
-                    channel.topic,
-                    schema.name,
-                    schema.encoding,
-                    schema.data.decode(errors='replace'),
-                    channel.metadata.get('topic_type_hash', ''),
-                    channel.metadata.get('offered_qos_profiles', ''),
-                )
-                yield topic, record.log_time, record.data
+                definition = schema.data.decode(errors='replace')
+                digest = channel.metadata.get('topic_type_hash', '')
+                qos = channel.metadata.get('offered_qos_profiles', '')
+                names = channel.topic, schema.name, schema.encoding
+                yield _Topic(*names, definition, digest, qos), record.log_time, record.data
 
 
 def summary_of(stream: BinaryIO) -> Summary:
@@ -366,15 +358,9 @@ def _sqlite_topics(base: sqlite3.Connection, name: str, lose: Report) -> dict[in
     definitions = _sqlite_definitions(base, name, lose)
     topics = {}
     for row in _rows(base, 'topics'):
-        encoding, definition = definitions.get(row['type'], ('', ''))
-        topics[row['id']] = _Topic(
-            row['name'],
-            row['type'],
-            encoding,
-            definition,
-            row.get('type_description_hash', ''),
-            row.get('offered_qos_profiles', ''),
-        )
+        definition = definitions.get(row['type'], ('', ''))
+        digest, qos = row.get('type_description_hash', ''), row.get('offered_qos_profiles', '')
+        topics[row['id']] = _Topic(row['name'], row['type'], *definition, digest, qos)
     return topics
 
 

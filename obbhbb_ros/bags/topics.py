@@ -11,6 +11,7 @@ from importlib import resources
 from typing import Any
 
 from rosbags.interfaces import Connection
+from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.interfaces import Qos
 from rosbags.interfaces import QosDurability
@@ -40,18 +41,9 @@ NO_HASH = 'RIHS00_' + 64 * '0'
 
 _INPUT_TYPES = {f'{kind.package}/msg/{kind.name}': kind for kind in INPUT_TYPES.values()}
 _FOREVER = QosTime(9223372036, 854775807)
+_POLICIES = QosHistory.UNKNOWN, 0, QosReliability.RELIABLE, QosDurability.VOLATILE
 # The QoS that the node offers, as rosbag2 writes it.
-_QOS = Qos(
-    QosHistory.UNKNOWN,
-    0,
-    QosReliability.RELIABLE,
-    QosDurability.VOLATILE,
-    _FOREVER,
-    _FOREVER,
-    QosLiveliness.AUTOMATIC,
-    _FOREVER,
-    False,
-)
+_QOS = Qos(*_POLICIES, _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False)
 
 
 @dataclass(frozen=True)
@@ -160,13 +152,9 @@ def _check_camera_info(connections: Collection[Connection], topic: str) -> None:
 def add_topic(writer: Writer, connection: Connection) -> Connection:
     """Add a topic as it was in another bag."""
     definition, digest = _definition(connection)
+    format_and_qos = connection.ext._asdict()
     return writer.add_connection(
-        connection.topic,
-        connection.msgtype,
-        msgdef=definition,
-        rihs01=digest,
-        serialization_format=connection.ext.serialization_format,
-        offered_qos_profiles=connection.ext.offered_qos_profiles,
+        connection.topic, connection.msgtype, msgdef=definition, rihs01=digest, **format_and_qos
     )
 
 
@@ -186,10 +174,7 @@ def add_output(writer: Writer, topic: str, connections: Collection[Connection]) 
     first = next((connection for connection in of_boxes if connection.msgdef.data), None)
     if first is None:
         return add_live_topic(writer, topic, OUTPUT_TYPE)
-    definition, digest = _definition(first)
-    return writer.add_connection(
-        topic, OUTPUT_TYPE, msgdef=definition, rihs01=digest, offered_qos_profiles=[_QOS]
-    )
+    return add_topic(writer, first._replace(topic=topic, ext=ConnectionExtRosbag2('cdr', [_QOS])))
 
 
 def add_live_topic(writer: Writer, topic: str, msgtype: str) -> Connection:

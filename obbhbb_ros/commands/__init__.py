@@ -27,12 +27,12 @@ class Command(NamedTuple):
     add_options : callable
         Adds the options of the command to its parser.
     run : callable
-        Runs the command with the parsed options and returns the exit code. Its docstring is the
-        help text of the command.
+        Runs the command with the parsed options; returns the exit code, or None for 0. Its
+        docstring is the help text of the command.
     """
 
     add_options: Callable[[ArgumentParser], None]
-    run: Callable[[Namespace], int]
+    run: Callable[[Namespace], int | None]
 
 
 COMMANDS = {
@@ -63,4 +63,4 @@ def run(arguments: Sequence[str]) -> int:
     """Parse a command line, without the program's name, and run it; return the exit code."""
     options = Namespace(invocation=shlex.join(['obbhbb', *arguments]))
     command_line().parse_args(arguments, options)
-    return COMMANDS[options.command].run(options)
+    return COMMANDS[options.command].run(options) or 0

@@ -36,7 +36,7 @@ def add_chips_options(parser: ArgumentParser) -> None:
     add('--picture', type=Path, help='picture file for the first image and the costs')
 
 
-def run_chips(options: Namespace) -> int:
+def run_chips(options: Namespace) -> None:
     """Compare the size of the chips of each method: pixels, and bytes by codec."""
     if options.labels is None:
         what, source = 'a synthetic harbour (no real pixels)', harbour()
@@ -59,7 +59,6 @@ def run_chips(options: Namespace) -> int:
 
         figures.save(figures.cost_figure(costs, *pictures[0], what), options.picture, dpi=75)
         print(f'\npicture: {options.picture}')
-    return 0
 
 
 def add_gallery_options(parser: ArgumentParser) -> None:
@@ -76,7 +75,7 @@ def add_gallery_options(parser: ArgumentParser) -> None:
     )
 
 
-def run_gallery(options: Namespace) -> int:
+def run_gallery(options: Namespace) -> None:
     """Show what came down: the chips of an outbox, most valuable first, on one HTML page."""
     from obbhbb_ros.study.gallery import gallery_page
     from obbhbb_ros.study.gallery import read_received
@@ -94,4 +93,3 @@ def run_gallery(options: Namespace) -> int:
         note(f'obbhbb: {problem}')
     print(f'chips: {len(received.chips)}, problems: {len(received.problems)}')
     print(f'written: {options.output}')
-    return 0

@@ -32,7 +32,7 @@ def add_demo_options(parser: ArgumentParser) -> None:
     )
 
 
-def run_demo(options: Namespace) -> int:
+def run_demo(options: Namespace) -> None:
     """Send a synthetic harbour through the real nodes; print a table, draw it, record a bag."""
     from obbhbb_ros.nodes.demo import boxes_by_method
     from obbhbb_ros.study import figures
@@ -46,7 +46,6 @@ def run_demo(options: Namespace) -> int:
     figures.save(figures.scene_figure(ships, boxes), options.picture, dpi=100)
     print(f'\npicture: {options.picture}')
     _record_demo(ships, options.bag, options.picture.parent)
-    return 0
 
 
 def _record_demo(ships: ImageLabels, bag: Path | None, folder: Path) -> None:

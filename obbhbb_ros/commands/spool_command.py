@@ -91,16 +91,17 @@ def run_spool(options: Namespace) -> int:
     chips = ChipFilter(options.class_ids, options.ids, options.min_value, options.max_value)
     if options.spool.is_file() and options.action == 'export':
         intact = ((chip, data) for chip, data in intact_chips(options.spool) if chips.matches(chip))
-        return _export(intact, options)
+        _export(intact, options)
+        return 0
     if options.action in ('delete', 'revalue') and chips.is_any and not options.all:
         raise ValueError(f'{options.action}: which chips? Give a condition, or --all')
     if options.action in ('check', 'forget-outbox') and not chips.is_any:
         raise ValueError(f'{options.action}: takes no condition, it is for the whole spool')
     with closing(spools.open_spool(options.spool)) as console:
-        return SPOOL_ACTIONS[options.action](console, chips, options)
+        return SPOOL_ACTIONS[options.action](console, chips, options) or 0
 
 
-def _list_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
+def _list_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> None:
     """Show the books, and the chips that are released next."""
     limit = _CHIPS_LISTED if options.limit is None else options.limit or -1
     shown, status = console.select(chips, limit), console.status()
@@ -108,7 +109,6 @@ def _list_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) ->
         print(json.dumps(spools.as_json(status, shown), indent=1, ensure_ascii=False))
     else:
         print(spools.status_text(status) + '\n\n' + spools.chip_table(shown))
-    return 0
 
 
 def _check_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
@@ -118,7 +118,7 @@ def _check_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -
     return 1 if wrong else 0
 
 
-def _revalue_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
+def _revalue_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> None:
     """Give waiting chips another value, and so another place in the order."""
     if (options.to is None) == (options.by is None):
         raise ValueError('revalue: give either --to or --by')
@@ -128,34 +128,30 @@ def _revalue_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace)
     if factor < 0.0:
         raise ValueError('revalue: --by must be 0 or more: less would reverse the order')
     print(f'{console.revalue(chips, factor, addend)} chips revalued')
-    return 0
 
 
-def _delete_from_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
+def _delete_from_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> None:
     """Delete waiting chips."""
     print(f'{console.delete(chips)} chips deleted')
-    return 0
 
 
-def _export_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
+def _export_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> None:
     """Write chips and their JSON to a folder, and leave them in the spool."""
-    return _export(console.files(console.select(chips)), options)
+    _export(console.files(console.select(chips)), options)
 
 
-def _export(chips: Iterable[tuple[StoredChip, bytes]], options: Namespace) -> int:
+def _export(chips: Iterable[tuple[StoredChip, bytes]], options: Namespace) -> None:
     """Write chips to a folder, and say how many."""
     print(f'{spools.export(chips, options.output or _EXPORTED)} chips exported')
-    return 0
 
 
-def _forget_outbox(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
+def _forget_outbox(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> None:
     """Count the chips in a lost outbox as evicted, so that another one is used."""
     print(f'{console.forget_outbox()} chips counted as evicted')
-    return 0
 
 
-# The docstring of the function that carries out an action is its help.
-SPOOL_ACTIONS: dict[str, Callable[[SpoolConsole, ChipFilter, Namespace], int]] = {
+# The docstring of the function that carries out an action is its help. It may return an exit code.
+SPOOL_ACTIONS: dict[str, Callable[[SpoolConsole, ChipFilter, Namespace], int | None]] = {
     'list': _list_spool,
     'check': _check_spool,
     'revalue': _revalue_spool,

@@ -63,7 +63,7 @@ def add_evaluate_options(parser: ArgumentParser) -> None:
     add('--plot', type=Path, help='picture file for a chart of mean IoU by angle (extra `plots`)')
 
 
-def run_evaluate(options: Namespace) -> int:
+def run_evaluate(options: Namespace) -> None:
     """Score methods on labelled ships, by angle, aspect ratio and class."""
     settings = evaluation.EvaluationSettings(
         options.threshold, options.keep, options.bootstrap, options.seed
@@ -88,7 +88,6 @@ def run_evaluate(options: Namespace) -> int:
         from obbhbb_ros.study import figures
 
         figures.save(figures.angle_figure(scores), options.plot)
-    return 0
 
 
 def add_calibrate_options(parser: ArgumentParser) -> None:
@@ -135,7 +134,7 @@ def add_calibrate_options(parser: ArgumentParser) -> None:
     add('-o', '--output', type=Path, help='parameter file to write')
 
 
-def run_calibrate(options: Namespace) -> int:
+def run_calibrate(options: Namespace) -> None:
     """Find q, f and s for labelled ships; write a parameter file for the node."""
     if options.synthetic == bool(options.labels):
         raise ValueError('give either label files or --synthetic')
@@ -171,7 +170,6 @@ def run_calibrate(options: Namespace) -> int:
         rule_of_class = {} if options.synthetic else result.rule_of_class
         write_text(options.output, yaml_text(result.rule, rule_of_class, notes))
         print(f'\nwritten: {options.output}')
-    return 0
 
 
 def add_report_options(parser: ArgumentParser) -> None:
@@ -189,7 +187,7 @@ def add_report_options(parser: ArgumentParser) -> None:
     add_number_options(parser, evaluation.DEFAULT_SETTINGS, {'seed': 'seed of all random numbers'})
 
 
-def run_report(options: Namespace) -> int:
+def run_report(options: Namespace) -> None:
     """Write tables, curves and a gallery of labelled ships to one HTML page."""
     from obbhbb_ros.study.report import report_page
 
@@ -200,4 +198,3 @@ def run_report(options: Namespace) -> int:
     )
     write_text(options.output, page)
     print(f'written: {options.output}')
-    return 0

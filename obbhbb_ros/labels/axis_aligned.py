@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from collections.abc import Mapping
 from dataclasses import dataclass
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -140,15 +141,11 @@ def _reason(boxes: OrientedBoxes, row: int) -> str:
 
 def convert_labels(
     images: Iterable[ImageLabels],
-    rule: HullRule,
-    caps: Caps = NO_CAPS,
-    *,
-    diagnostics: bool = False,
-    bow: BowSource = 'none',
+    convert: Callable[[ImageLabels], ConvertedImage],
     report: Callable[[str], None],
 ) -> tuple[list[ImageBoxes], LabelTally]:
     """
-    Convert images as `convert_image` does, and count the boxes that cannot be converted.
+    Convert images with `convert_image`, and count the boxes that cannot be converted.
 
     `report` gets a line for each of these. The counts do not include malformed records.
     """
@@ -156,14 +153,14 @@ def convert_labels(
     reasons: Counter[str] = Counter()
     bows = 0
     for labels in images:
-        converted = convert_image(labels, rule, caps, diagnostics, bow)
+        converted = convert(labels)
         done.append(converted.boxes)
         bows += converted.bows
         reasons.update(converted.left_out.values())
         for row, reason in converted.left_out.items():
             report(f'{labels.source}: image {labels.image!r}: box {row + 1} left out: {reason}')
     boxes = sum(len(image.class_ids) for image in done)
-    return done, LabelTally(len(done), boxes, dict(reasons), 0, None if bow == 'none' else bows)
+    return done, LabelTally(len(done), boxes, dict(reasons), malformed=0, bows=bows)
 
 
 def convert_file(
@@ -221,10 +218,10 @@ def convert_file(
 
     labels = source_labels.read(image_size, skip)
     total = len(source_labels.files) if source.is_dir() else None
-    images, tally = convert_labels(
-        progress(labels, total), rule, caps, diagnostics=diagnostics, bow=bow, report=report
-    )
-    tally = replace(tally, malformed=len(malformed))
+    convert = partial(convert_image, rule=rule, caps=caps, diagnostics=diagnostics, bow=bow)
+    images, tally = convert_labels(progress(labels, total), convert, report)
+    bows = None if bow == 'none' else tally.bows
+    tally = replace(tally, malformed=len(malformed), bows=bows)
     if tally.readable:
         if target_labels is yolo.UPRIGHT:
             images = [_sized(image) for image in images]

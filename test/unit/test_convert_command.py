@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterable
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -251,7 +252,7 @@ def test_defects_are_counted_by_reason() -> None:
     nan, empty = Box((np.nan,) * 8, 'ship'), Box((1.0,) * 8, 'ship')
     labels = LabelFile(Path('x')).image('P1', [nan, empty, empty])
     lines: list[str] = []
-    _, tally = convert_labels([labels], HullRule(), report=lines.append)
+    _, tally = convert_labels([labels], partial(convert_image, rule=HullRule()), lines.append)
     assert tally.left_out == {'not finite': 1, 'empty': 2}
     assert len(lines) == 3
 
