@@ -45,6 +45,7 @@ from rosbags.typesys import get_types_from_msg
 from rosbags.typesys import get_typestore
 
 from obbhbb_ros.bags import replay
+from obbhbb_ros.bags.rescue import storage_files
 from obbhbb_ros.bags.rescue import unpack_chunk
 from obbhbb_ros.bags.topics import OUTPUT_HASH
 from obbhbb_ros.bags.topics import OUTPUT_TYPE
@@ -538,6 +539,13 @@ def test_a_folder_in_a_bag_is_no_part_of_it(tmp_path: Path, run: Any) -> None:
     code, _, _ = run('--strict')
     assert code == 0
     assert answers(tmp_path / 'out') == expected(scene())
+
+
+def test_storage_files_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    names = ['b_1.db3', 'b_1²0.mcap', 'b_2.db3.zstd', 'b_10.db3']
+    for name in (*names, 'metadata.yaml', 'b_1.db3-wal', 'b.zstd', '.mcap'):
+        (tmp_path / name).touch()
+    assert [path.name for path in storage_files(tmp_path)] == names
 
 
 def test_of_a_damaged_lz4_chunk_all_before_the_damage_is_read() -> None:
