@@ -18,6 +18,10 @@ from obbhbb_ros.launching import state_file
 HOME = os.environ.get('ROS_HOME') or os.path.expanduser('~/.ros')
 # Instead of a folder: use the one in the parameter files.
 NONE = 'none'
+FOLDERS = {
+    'spool': 'in which chips wait for contact',
+    'outbox': 'from which the bus takes chips',
+}
 # The arguments that set a parameter of a node.
 PATHS = {
     'chip_extractor': {'spool': 'spool.path'},
@@ -38,7 +42,7 @@ TOPICS = (
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe the nodes, each with its own parameter file, in one namespace."""
+    """Describe the nodes, all in one namespace, with a parameter file for each of them."""
     return LaunchDescription(
         [
             argument(
@@ -49,22 +53,16 @@ def generate_launch_description() -> LaunchDescription:
             ),
             *(params_file(f'{name}_params_file', name) for name in NODES),
             argument('nodes', ' '.join(CHAIN), f'which nodes to start, of {", ".join(NODES)}'),
-            argument(
-                'spool',
-                '',
-                'folder in which chips wait for contact; by default the one in the parameter '
-                f'files, or {HOME}/obbhbb/<namespace>/spool if they name none (none: as in the '
-                'files)',
+            *(
+                argument(
+                    folder,
+                    '',
+                    f'folder {purpose}; by default the one in the parameter files, or '
+                    f'{HOME}/obbhbb/<namespace>/{folder} if they name none (none: as in the files)',
+                )
+                for folder, purpose in FOLDERS.items()
             ),
-            argument(
-                'outbox',
-                '',
-                'folder from which the bus takes chips; by default the one in the parameter '
-                f'files, or {HOME}/obbhbb/<namespace>/outbox if they name none (none: as in the '
-                'files)',
-            ),
-            *(argument(topic, topic, f'topic to use for `{topic}`') for topic in TOPICS),
-            *common_arguments(),
+            *common_arguments(TOPICS),
             nodes(_nodes),
         ]
     )

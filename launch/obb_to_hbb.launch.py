@@ -19,8 +19,7 @@ def generate_launch_description() -> LaunchDescription:
         [
             params_file('params_file', 'obb_to_hbb'),
             argument('name', 'obb_to_hbb', 'name of the node'),
-            *(argument(topic, topic, f'topic to use for `{topic}`') for topic in TOPICS),
-            *common_arguments(),
+            *common_arguments(TOPICS),
             nodes(
                 lambda value: [
                     *log_unused_files(value('namespace'), {value('name'): [value('params_file')]}),

@@ -25,7 +25,7 @@ from obbhbb_ros.settings.parameter_file import read_values
 PACKAGE = 'obbhbb_ros'
 
 ArgumentValue: TypeAlias = Callable[[str], str]
-"""From the name of a launch argument to its value."""
+"""Returns the value of a launch argument by its name."""
 
 
 def argument(name: str, default: str, meaning: str) -> Any:
@@ -39,10 +39,11 @@ def params_file(name: str, node: str) -> Any:
     return argument(name, f'{share}/config/{node}.yaml', f'YAML file with parameters of {node}')
 
 
-def common_arguments() -> list[Any]:
-    """Declare the arguments of every launch file, and apply the DDS profile if requested."""
+def common_arguments(topics: Sequence[str]) -> list[Any]:
+    """Declare the arguments of every launch file; apply the DDS profile if an argument says so."""
     share = get_package_share_directory(PACKAGE)
     return [
+        *(argument(topic, topic, f'topic to use for `{topic}`') for topic in topics),
         argument('namespace', '', 'namespace of nodes and topics'),
         argument('log_level', 'info', 'log level'),
         argument('respawn', 'true', 'restart a node whenever it exits'),
@@ -94,12 +95,12 @@ def state_file(value: ArgumentValue, name: str) -> list[dict[str, str]]:
 
 def nodes(describe: Callable[[ArgumentValue], Iterable[Any]]) -> Any:
     """
-    Start nodes once the arguments are known.
+    Start nodes when the arguments have their values.
 
     Parameters
     ----------
     describe : callable
-        Lists the nodes, from a function from the name of an argument to its value.
+        Lists the nodes, with a function that returns the value of an argument by its name.
     """
 
     def at_launch(context: Any) -> list[Any]:
@@ -121,7 +122,7 @@ def node(
     Parameters
     ----------
     value : callable
-        Function from the name of an argument to its value.
+        Returns the value of an argument by its name.
     executable, name : str
         Executable and name of the node.
     parameters : sequence of str or dict

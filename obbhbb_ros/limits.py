@@ -77,14 +77,14 @@ class Choices:
         return ', '.join(word or '""' for word in self.words)
 
     def check(self, name: str, value: str) -> None:
-        """Raise ValueError with the name if a value is none of the words."""
+        """Raise ValueError with the name if a value is not one of the words."""
         if value not in self.words:
             raise ValueError(f'{name} must be one of {self}, not {value!r}')
 
 
 def require_number(name: str, value: float) -> float:
-    """Return a number; raise TypeError with the name if it is none."""
-    # The first two are there for speed.
+    """Return a number; raise TypeError with the name for any other value."""
+    # Without float and int, the check would be slow.
     if not isinstance(value, (float, int, Real)):
         raise TypeError(f'{name} must be a number, not {value!r}')
     return value
@@ -124,7 +124,7 @@ class CheckedSettings:
     ValueError
         If a value is out of its limits; the message begins with the name of the field.
     TypeError
-        If a value that must be a number is none.
+        If a value that must be a number is something else.
     """
 
     def __init_subclass__(cls) -> None:

@@ -31,7 +31,7 @@ from obbhbb_ros.settings.parameters import ParameterTable
 from obbhbb_ros.settings.play_detections import PLAY_DETECTIONS
 from obbhbb_ros.text_tables import markdown_table
 
-# What the rule leaves open keeps its default.
+# A parameter that the rule leaves open keeps its default.
 PAPER = {name: value for name, value in asdict(PAPER_RULE).items() if value is not None}
 NODE_TABLES: dict[str, ParameterTable[Any]] = {
     'obb_to_hbb': OBB_TO_HBB,
@@ -40,18 +40,13 @@ NODE_TABLES: dict[str, ParameterTable[Any]] = {
     'overlay': OVERLAY,
     'play_detections': PLAY_DETECTIONS,
 }
-# Name, title, rows, and the values that differ from the defaults.
-PARAMETER_FILES: tuple[tuple[str, str, ParameterTable[Any], Mapping[str, Any]], ...] = (
-    ('obb_to_hbb', 'obb_to_hbb: the recommended settings.', OBB_TO_HBB, {}),
-    (
-        'paper',
-        "obb_to_hbb: the paper's rule (Algorithm 1) and its best parameters.",
-        OBB_TO_HBB,
-        PAPER,
-    ),
-    ('chip_extractor', 'chip_extractor: the default settings.', CHIP_EXTRACTOR, {}),
-    ('downlink', 'downlink: the default settings. Set the two folders.', DOWNLINK, {}),
-    ('overlay', 'overlay: the default settings.', OVERLAY, {}),
+# Name, node, title, and the values that differ from the defaults.
+PARAMETER_FILES: tuple[tuple[str, str, str, Mapping[str, Any]], ...] = (
+    ('obb_to_hbb', 'obb_to_hbb', 'the recommended settings.', {}),
+    ('paper', 'obb_to_hbb', "the paper's rule (Algorithm 1) and its best parameters.", PAPER),
+    ('chip_extractor', 'chip_extractor', 'the default settings.', {}),
+    ('downlink', 'downlink', 'the default settings. Set the two folders.', {}),
+    ('overlay', 'overlay', 'the default settings.', {}),
 )
 _INDENT = ' ' * 4
 _COLUMNS = 100
@@ -120,7 +115,7 @@ def with_table(document: str, name: str, table: str) -> str:
 
 
 def page_tables() -> dict[str, dict[str, str]]:
-    """Write the tables of each page, by the name of their place on it."""
+    """Write the tables of the pages: by page, and by the name of the place on the page."""
     methods = [
         (f'`{m.name}`', m.summary, 'q, f, s' if m.tunable else '', 'yes' if m.onboard else '')
         for m in METHODS.values()
@@ -130,23 +125,15 @@ def page_tables() -> dict[str, dict[str, str]]:
         for f in FORMATS.values()
     ]
     head = ('method', 'what it encloses', 'tuned by', 'in the node')
-    return {
+    pages = {
         'method': {'methods': markdown_table(head, methods)},
         'formats': {'formats': markdown_table(('format', 'files', 'what it is'), formats)},
         'nodes': {'common parameters': parameters_table(COMMON_WITH_INPUT)},
-        **{
-            node: {
-                'parameters': parameters_table(
-                    [
-                        row
-                        for row in (*table.rows, *table.class_rows)
-                        if row not in COMMON_WITH_INPUT
-                    ]
-                )
-            }
-            for node, table in NODE_TABLES.items()
-        },
     }
+    for node, table in NODE_TABLES.items():
+        rows = [row for row in (*table.rows, *table.class_rows) if row not in COMMON_WITH_INPUT]
+        pages[node] = {'parameters': parameters_table(rows)}
+    return pages
 
 
 def documents(root: Path) -> dict[Path, str]:
@@ -165,9 +152,9 @@ def documents(root: Path) -> dict[Path, str]:
     """
     files = {
         root / 'config' / f'{name}.yaml': yaml_file(
-            f'{title} Every parameter is here.', values, table.rows
+            f'{node}: {title} Every parameter is here.', values, NODE_TABLES[node].rows
         )
-        for name, title, table, values in PARAMETER_FILES
+        for name, node, title, values in PARAMETER_FILES
     }
     for page, tables in page_tables().items():
         path = root / 'doc' / f'{page}.md'

@@ -35,15 +35,12 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
     described = ParameterDescriptor(
         name=parameter.name, description=text, read_only=parameter.read_only
     )
-    if isinstance(limits, Range) and isinstance(parameter.default, float):
-        # An integer would become garbage in the message.
-        described.floating_point_range.append(
-            FloatingPointRange(from_value=float(limits.low), to_value=float(limits.high))
-        )
-    elif isinstance(limits, Range):
-        described.integer_range.append(
-            IntegerRange(from_value=int(limits.low), to_value=int(limits.high))
-        )
+    if isinstance(limits, Range):
+        kind = float if isinstance(parameter.default, float) else int
+        message = FloatingPointRange if kind is float else IntegerRange
+        ranges = described.floating_point_range if kind is float else described.integer_range
+        # Of another type, a bound would become garbage in the message.
+        ranges.append(message(from_value=kind(limits.low), to_value=kind(limits.high)))
     return described
 
 
@@ -117,17 +114,12 @@ class LiveParameters(Generic[SettingsT]):
 
     def _declare(self, parameters: Mapping[str, Parameter]) -> None:
         """Declare parameters; rclpy takes their values from those set at start."""
-        self._node.declare_parameters(
-            '',
-            [
-                (name, parameter.default, descriptor(parameter))
-                for name, parameter in parameters.items()
-            ],
-        )
+        rows = [(row.name, row.default, descriptor(row)) for row in parameters.values()]
+        self._node.declare_parameters('', rows)
         self._declared.update(parameters)
 
     def _follow_classes(self) -> None:
-        """Declare the parameters of the present classes, and undeclare those of others."""
+        """Declare the parameters of the classes in `class_ids`, and undeclare those of others."""
         class_ids = [*self._classes_at_start, *self._table.class_ids(self.values())]
         wanted = self._table.parameters(class_ids)
         for name in self._declared.keys() - wanted.keys():
@@ -145,7 +137,7 @@ class LiveParameters(Generic[SettingsT]):
     def _validate(self, changes: Sequence[RosParameter]) -> SetParametersResult:
         """Accept or reject a set of changes as a whole; change nothing yet."""
         if not any(self._node.has_parameter(change.name) for change in changes):
-            # They are being declared, by this class or by rclpy.
+            # This class or rclpy is declaring them.
             return SetParametersResult(successful=True)
         if self._locked:
             return SetParametersResult(

@@ -180,7 +180,7 @@ class ParameterTable(Generic[SettingsT]):
         return classes
 
     def mentioned_classes(self, names: Collection[str]) -> list[str]:
-        """List the class ids that occur in some parameter names."""
+        """List the class ids that occur in parameter names."""
         patterns = [re.escape(row.name).replace('<id>', '(.+)') for row in self.class_rows]
         matches = [re.fullmatch(pattern, name, re.S) for pattern in patterns for name in names]
         # As the keys of a dictionary: in order, without duplicates.
