@@ -212,11 +212,7 @@ class Batch:
         self._image_size = image_size
         self._detections = detections = Detections(data, input_type)
         self._boxes = boxes = settings.input_frame.oriented_boxes(
-            detections.xywhr(),
-            detections.polygons,
-            image_size,
-            theta_scale=settings.theta_scale,
-            bow=settings.bow,
+            detections.xywhr(), detections.polygons, image_size, bow=settings.bow
         )
         self._rule_of: NDArray[np.intp] | None = None
         if rule_of_class := settings.rule_of_class:

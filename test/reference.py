@@ -47,7 +47,7 @@ class Reference:
                 message = from_yolo(message)
             self._message = message
             xywhr = np.array([box_of(detection) for detection in message.detections]).reshape(-1, 5)
-            xywhr[:, 4] *= settings.theta_scale
+            xywhr[:, 4] *= settings.input_frame.theta_scale
             self._boxes = OrientedBoxes.from_xywhr(xywhr, bow=settings.bow)
         else:
             polygons = message.polygons if hasattr(message, 'polygons') else [message.polygon]

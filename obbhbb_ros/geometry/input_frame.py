@@ -20,7 +20,7 @@ FITS = ('none', 'stretch', 'letterbox')
 @dataclass(frozen=True)
 class InputFrame:
     """
-    How an image was fitted to the input of a network.
+    Coordinates of detections: how an image was fitted to a network's input, and unit of angles.
 
     Attributes
     ----------
@@ -29,6 +29,8 @@ class InputFrame:
     fit : str
         One of `FITS`: detections are in image coordinates; the image was stretched to the input;
         or it was scaled as a whole, with equal margins left and right or above and below.
+    theta_scale : float
+        Factor from the unit of theta to radians.
 
     Raises
     ------
@@ -44,6 +46,7 @@ class InputFrame:
 
     size: tuple[int, int]
     fit: str = 'none'
+    theta_scale: float = 1.0
 
     def __post_init__(self) -> None:
         """Check that there is a size."""
@@ -61,7 +64,6 @@ class InputFrame:
         polygons: Sequence[FloatArray] | None = None,
         image_size: tuple[int, int] | None = None,
         *,
-        theta_scale: float = 1.0,
         bow: bool = False,
     ) -> OrientedBoxes:
         """
@@ -70,13 +72,11 @@ class InputFrame:
         Parameters
         ----------
         xywhr : ndarray, shape (N, 5)
-            Boxes as `OrientedBoxes.from_xywhr` takes them, but for the unit of theta.
+            Boxes as `OrientedBoxes.from_xywhr` takes them, but with theta in the unit of the frame.
         polygons : sequence of ndarray, each of shape (K, 2), optional
             Vertices of N polygons, pixels, to be used in place of `xywhr`.
         image_size : tuple of int, optional
             Width and height of the image, pixels; without it boxes stay in this frame.
-        theta_scale : float
-            Factor from the unit of theta to radians.
         bow : bool
             Whether theta points to the bow.
 
@@ -90,10 +90,10 @@ class InputFrame:
             if target:
                 polygons = [self.to_image(vertices, target) for vertices in polygons]
             return OrientedBoxes.from_polygons(polygons)
-        if theta_scale != 1.0:
+        if self.theta_scale != 1.0:
             # NumPy warns of a signalling NaN.
             with np.errstate(invalid='ignore', over='ignore'):
-                theta = xywhr[:, 4:] * theta_scale
+                theta = xywhr[:, 4:] * self.theta_scale
             xywhr = np.hstack((xywhr[:, :4], theta))
         if target:
             return self.boxes_to_image(xywhr, target, bow)
@@ -135,7 +135,7 @@ class InputFrame:
         Parameters
         ----------
         xywhr : ndarray, shape (N, 5)
-            Boxes as `OrientedBoxes.from_xywhr` takes them.
+            Boxes as `OrientedBoxes.from_xywhr` takes them, with theta in radians.
         image_size : tuple of int
             Width and height of the image, pixels.
         bow : bool

@@ -43,15 +43,12 @@ class FrameSettings:
         The layers that are drawn and their colours, '#rrggbb', the first at the bottom.
     style : Style
         Style of the picture.
-    theta_scale : float
-        Factor from the angle unit of the detections to radians.
     input_frame : InputFrame
         Coordinates of the detections.
     """
 
     colors: Mapping[str, str]
     style: Style
-    theta_scale: float
     input_frame: InputFrame
 
 
@@ -120,12 +117,8 @@ class OverlayFrame:
         size, settings = (self.image.width, self.image.height), self._settings
         corners = {}
         for layer, detections in self._layers.items():
-            frame, theta_scale = InputFrame((0, 0)), 1.0
-            if layer == 'detections':
-                frame, theta_scale = settings.input_frame, settings.theta_scale
-            boxes = frame.oriented_boxes(
-                detections.xywhr(), detections.polygons, size, theta_scale=theta_scale
-            )
+            frame = settings.input_frame if layer == 'detections' else InputFrame((0, 0))
+            boxes = frame.oriented_boxes(detections.xywhr(), detections.polygons, size)
             corners[layer] = np.where(boxes.valid[:, None, None], boxes.corners, np.nan)
         return corners
 

@@ -44,11 +44,8 @@ DETECTION_INPUT = (
 """Type and coordinates of the detections."""
 
 
-def theta_scale(values: Mapping[str, Any]) -> float:
-    """Return the factor from the input's angle unit to radians."""
-    return math.pi / 180.0 if values['angle_unit'] == 'deg' else 1.0
-
-
 def input_frame(values: Mapping[str, Any]) -> InputFrame:
     """Return the coordinates of the detections."""
-    return InputFrame((values['input_width'], values['input_height']), values['input_fit'])
+    size = (values['input_width'], values['input_height'])
+    theta_scale = math.pi / 180.0 if values['angle_unit'] == 'deg' else 1.0
+    return InputFrame(size, values['input_fit'], theta_scale)

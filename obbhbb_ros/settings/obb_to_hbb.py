@@ -29,7 +29,6 @@ from obbhbb_ros.settings.common import COMMON_WITH_INPUT
 from obbhbb_ros.settings.common import size_rows
 from obbhbb_ros.settings.detection_input import DETECTION_INPUT
 from obbhbb_ros.settings.detection_input import input_frame
-from obbhbb_ros.settings.detection_input import theta_scale
 from obbhbb_ros.settings.parameters import MAX_CLASSES
 from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.settings.parameters import ParameterTable
@@ -52,8 +51,6 @@ class ConversionSettings:
         Bounds of the boxes, pixels.
     image_size : tuple of int
         Width and height from the parameters, pixels; 0 where `camera_info` decides.
-    theta_scale : float
-        Factor from the input's angle unit to radians.
     bow : bool
         Whether the angles of the input point to the bow.
     input_frame : InputFrame
@@ -78,7 +75,6 @@ class ConversionSettings:
     rule_of_class: Mapping[str, int]
     caps: Caps
     image_size: tuple[int, int]
-    theta_scale: float
     bow: bool
     input_frame: InputFrame
     clip_boxes: bool
@@ -142,7 +138,6 @@ def _conversion_settings(values: Mapping[str, Any]) -> ConversionSettings:
         rule_of_class={class_id: number for number, class_id in enumerate(class_ids, 1)},
         caps=_caps(values),
         image_size=(values['image_width'], values['image_height']),
-        theta_scale=theta_scale(values),
         bow=values['heading'] == 'theta',
         input_frame=input_frame(values),
         clip_boxes=values['clip_boxes'],

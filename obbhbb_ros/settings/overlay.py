@@ -15,7 +15,6 @@ from obbhbb_ros.overlay.overlay_frame import FrameSettings
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
 from obbhbb_ros.settings.detection_input import DETECTION_INPUT
 from obbhbb_ros.settings.detection_input import input_frame
-from obbhbb_ros.settings.detection_input import theta_scale
 from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.settings.parameters import ParameterTable
 from obbhbb_ros.settings.parameters import rows_of
@@ -39,9 +38,8 @@ def _overlay_settings(values: Mapping[str, Any]) -> OverlaySettings:
     for layer, color in colors.items():
         if not re.fullmatch('#[0-9a-fA-F]{6}', color):
             raise ValueError(f'color.{layer} must be #rrggbb, not {color!r}')
-    style = settings_of(Style, values)
     return OverlaySettings(
-        FrameSettings(colors, style, theta_scale(values), input_frame(values)),
+        FrameSettings(colors, settings_of(Style, values), input_frame(values)),
         settings_of(CollectorLimits, values),
     )
 
