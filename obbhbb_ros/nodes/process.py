@@ -8,7 +8,6 @@ import os
 import stat
 import sys
 from collections.abc import Callable
-from collections.abc import Sequence
 from contextlib import suppress
 
 import rclpy
@@ -22,16 +21,15 @@ from rclpy.signals import SignalHandlerOptions
 from obbhbb_ros.errors import StartError
 from obbhbb_ros.nodes.executor import ExpressExecutor
 from obbhbb_ros.nodes.executor import UnknownRclpyError
+from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.stop import RUNNING
 from obbhbb_ros.nodes.stop import STARTING
 from obbhbb_ros.nodes.stop import Stop
 from obbhbb_ros.nodes.supervision import Supervision
-from obbhbb_ros.nodes.supervision import start
 
 # The stock executor does not return when it is only woken, and the watchdog has to tell an idle
 # executor from a blocked one.
 _MAX_WAIT = 1.0
-_REASONS = (ParameterException, StartError, ValueError, OSError)
 
 
 def executor_for(node: Node) -> Executor:
@@ -48,7 +46,6 @@ def executor_for(node: Node) -> Executor:
 def run(
     make_node: Callable[[], Node],
     stop: Stop,
-    args: Sequence[str] | None = None,
     make_executor: Callable[[Node], Executor] = executor_for,
 ) -> int:
     """
@@ -60,8 +57,6 @@ def run(
         Makes the node; may raise `StartError`, ValueError, OSError or ParameterException.
     stop : Stop
         Receives SIGINT and SIGTERM.
-    args : sequence of str, optional
-        Command line, `sys.argv` by default.
     make_executor : callable, optional
         Makes the executor of the node.
 
@@ -73,27 +68,27 @@ def run(
     stop.patience = STARTING
     never_wait_to_log()
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         # The arguments after --ros-args cannot be used.
         print(f'cannot start: {error}', file=sys.stderr)
         return 1
     try:
         node = make_node()
-        supervision = start(node)
-    except _REASONS as error:
+        supervision = Supervision([node] if isinstance(node, ManagedNode) else [])
+        supervision.start_nodes()
+    except (ParameterException, StartError, ValueError, OSError) as error:
         rclpy.try_shutdown()
         print(f'cannot start: {error}', file=sys.stderr)
         return 1
-    state_file = supervision.state_file
-    stop.on_leaving = state_file.end
+    stop.on_leaving = supervision.end
     stop.patience = RUNNING
     try:
         _run_to_the_end(make_executor(node), node, stop, supervision)
     except BaseException as error:
-        state_file.end(f'{type(error).__name__}: {error}')
+        supervision.end(f'{type(error).__name__}: {error}')
         raise
-    state_file.end(stop.name or 'shutdown', asked=True)
+    supervision.end(stop.name or 'shutdown', asked=True)
     return 0
 
 

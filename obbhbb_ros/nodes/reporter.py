@@ -26,6 +26,8 @@ PERIOD = 1.0
 _WARNING_PERIOD = 5.0
 # Without input, the level is ERROR after the input timeout, and STALE after so many of them.
 _STALE_AFTER = 3.0
+# So many, because a subscriber has to discover a restarted node before it hears of the restart.
+_REMINDERS = 10
 
 
 class Reporter(Part):
@@ -51,7 +53,7 @@ class Reporter(Part):
         self._trouble = ''
         self._reminder, self._reminders_left = '', 0
         self._quiet_until: dict[str, float] = {}
-        self._is_active = self._is_silent = False
+        self._is_silent = False
         self._publisher: Any = None
         self._timer: Any = None
 
@@ -67,9 +69,9 @@ class Reporter(Part):
             self._quiet_until[kind] = now + _WARNING_PERIOD
             self._log.warning(text)
 
-    def remind(self, text: str, reports: int) -> None:
-        """Warn in the next reports that have nothing else to warn of."""
-        self._reminder, self._reminders_left = text, reports
+    def remind(self, text: str) -> None:
+        """Warn in those of the next ten reports that have nothing else to warn of."""
+        self._reminder, self._reminders_left = text, _REMINDERS
 
     def configure(self) -> None:
         """Start to publish diagnostics."""
@@ -78,12 +80,7 @@ class Reporter(Part):
 
     def activate(self) -> None:
         """Expect input."""
-        self._is_active = True
         self.monitor.expect_input()
-
-    def deactivate(self) -> None:
-        """Expect no input."""
-        self._is_active = False
 
     def cleanup(self) -> None:
         """Stop publishing diagnostics."""
@@ -93,16 +90,15 @@ class Reporter(Part):
     def _publish(self) -> None:
         """Publish the report of the period that ends now."""
         state, parameters = internals.state_label(self._node), self._parameters()
+        # They come first, because they may count and warn.
         facts = [facts() for facts in self._facts]
-        name = self._node.get_fully_qualified_name()
         values = {'state': state}
         values.update({key: str(count) for key, count in sorted(self.monitor.counts.items())})
-        for mapping in facts:
+        for mapping in (*facts, self.monitor.rate_values(), self.monitor.latency_values()):
             values.update(mapping)
-        values.update(self.monitor.rate_values())
-        values.update(self.monitor.latency_values())
         values.update({f'parameter.{key}': str(value) for key, value in parameters.items()})
         level, message = self._summary(state, parameters.get(INPUT_TIMEOUT.name, 0.0))
+        name = self._node.get_fully_qualified_name()
         status = DiagnosticStatus(
             level=level,
             name=name.lstrip('/'),
@@ -121,19 +117,17 @@ class Reporter(Part):
             self._reminders_left -= 1
             trouble = trouble or self._reminder
         silence = self.monitor.silence()
-        if self._notice_silence(silence, input_timeout):
+        self._notice_silence(silence, input_timeout if state == 'active' else 0.0)
+        if self._is_silent:
             is_stale = silence > _STALE_AFTER * input_timeout
             level = DiagnosticStatus.STALE if is_stale else DiagnosticStatus.ERROR
             return level, f'no input for {silence:.0f} s'
         return (DiagnosticStatus.WARN, trouble) if trouble else (DiagnosticStatus.OK, state)
 
-    def _notice_silence(self, silence: float, timeout: float) -> bool:
-        """Return whether the node has had no input for too long; log when that begins and ends."""
-        is_silent = bool(self._is_active and timeout and silence > timeout)
-        if is_silent != self._is_silent:
-            self._is_silent = is_silent
-            if is_silent:
-                self._log.error(f'no input for {silence:.0f} s, see input_timeout')
-            elif self._is_active and timeout:
-                self._log.info('input is back')
-        return is_silent
+    def _notice_silence(self, silence: float, timeout: float) -> None:
+        """Log when the node begins to miss input, and when input is back; 0 for no timeout."""
+        was_silent, self._is_silent = self._is_silent, 0.0 < timeout < silence
+        if self._is_silent and not was_silent:
+            self._log.error(f'no input for {silence:.0f} s, see input_timeout')
+        elif was_silent and timeout and not self._is_silent:
+            self._log.info('input is back')

@@ -36,58 +36,75 @@ _MAX_BYTES = 1_000_000
 _MAX_STACKS = 20_000
 
 
-class StateFile:
+def open_state_file(
+    path: str, node: str, counters: Mapping[str, int], warn: Callable[[str], object]
+) -> StateFile | None:
     """
-    The state file of the present run, and what the last run left in it.
-
-    Problems with the file are reported once and stop nothing. Several threads may use it.
+    Open the state file of a node, and read what the last run left in it.
 
     Parameters
     ----------
     path : str
-        Absolute path; without one, nothing is kept.
+        Absolute path; may be empty.
     node : str
         Full name of the node.
     counters : mapping of str to int
         Its counters, written as they are at the time.
     warn : callable
-        Receives the text of a problem.
+        Receives the text of a problem. Problems stop nothing.
+
+    Returns
+    -------
+    StateFile or None
+        None if there is no path, or no state file can be kept there.
+    """
+
+    def warn_of_file(text: str) -> None:
+        warn(f'state.path: {path}: {text}')
+
+    if not path:
+        return None
+    # `Path.expanduser` raises if there is no such user.
+    path = os.path.expanduser(path)
+    try:
+        return StateFile(Path(path), node, counters, warn_of_file)
+    except (OSError, ValueError) as error:
+        warn_of_file(f'{error}; this run keeps no state file')
+        return None
+
+
+class StateFile:
+    """
+    The state file of the present run, from `open_state_file`. Several threads may use it.
 
     Attributes
     ----------
     last_run : LastRun
         How the last run ended.
-    stacks_file : binary file or None
-        Where faulthandler writes; None if nothing is kept.
+    stacks_file : binary file
+        Where faulthandler writes.
+
+    Raises
+    ------
+    OSError, ValueError
+        If the path cannot be that of a state file, or another process uses it.
     """
 
     def __init__(
-        self,
-        path: str,
-        node: str,
-        counters: Mapping[str, int],
-        warn: Callable[[str], object],
+        self, path: Path, node: str, counters: Mapping[str, int], warn: Callable[[str], object]
     ) -> None:
-        self.last_run = LastRun()
-        self.stacks_file: BinaryIO | None = None
-        # `Path.expanduser` raises if there is no such user.
-        self._path = Path(os.path.expanduser(path))
-        self._counters, self._warn, self._has_warned = counters, warn, False
+        self._path, self.stacks_file = _locked(path)
+        self._counters, self._warn, self._is_writable = counters, warn, True
         self._lock = threading.Lock()
         self._run = Run(node=node, pid=os.getpid(), boot=_boot_id(), started=_now())
-        if path:
-            self._open()
-
-    @property
-    def is_kept(self) -> bool:
-        """Whether there is a state file."""
-        return self.stacks_file is not None
+        self.last_run = self._read_last_run()
+        self._run = replace(self._run, restarts=self.last_run.restarts)
+        faulthandler.enable(self.stacks_file)
 
     def begin(self, state: str) -> None:
         """Write that the run has begun; what the last run left is not needed any more."""
-        if self.stacks_file is not None:
-            with suppress(OSError):
-                self.stacks_file.truncate(0)
+        with suppress(OSError):
+            self.stacks_file.truncate(0)
         self.note(state)
 
     def note(self, state: str) -> None:
@@ -98,42 +115,25 @@ class StateFile:
         """Write why the run ends; only the first reason counts."""
         self._write(replace(self._run, ended=reason, asked=asked))
 
-    def _open(self) -> None:
-        """Lock the files against other processes, and read them."""
+    def _read_last_run(self) -> LastRun:
+        """Read how the last run ended; warn if the file does not say."""
+        self.stacks_file.seek(0)
+        stacks = self.stacks_file.read(_MAX_STACKS).decode(errors='replace')
         try:
-            self._path, stacks_file = _locked(self._path)
-        except BlockingIOError:
-            self._fail('in use by another node; this run keeps no state file')
-            return
-        except (OSError, ValueError) as error:
-            self._fail(f'{error}; this run keeps no state file')
-            return
-        self.stacks_file = stacks_file
-        try:
-            self.last_run = self._read(stacks_file)
+            with self._path.open('rb') as file:
+                run = read_run(file.read(_MAX_BYTES))
         except FileNotFoundError:
-            pass
+            return LastRun()
         except (OSError, ValueError) as error:
-            self._fail(str(error))
-            self.last_run = LastRun(f'not known, {self._path} cannot be read', 1)
-        self._run = replace(self._run, restarts=self.last_run.restarts)
-        faulthandler.enable(stacks_file)
-
-    def _read(self, stacks_file: BinaryIO) -> LastRun:
-        """Read how the last run ended."""
-        stacks_file.seek(0)
-        stacks = stacks_file.read(_MAX_STACKS).decode(errors='replace')
-        with self._path.open('rb') as file:
-            run = read_run(file.read(_MAX_BYTES))
+            self._warn(str(error))
+            return LastRun(f'not known, {self._path} cannot be read', 1)
         if run.node != self._run.node:
-            self._fail(f'it was the state file of another node, {run.node}')
+            self._warn(f'it was the state file of another node, {run.node}')
             return LastRun()
         return last_run(run, stacks, self._run.boot)
 
     def _write(self, run: Run) -> None:
-        """Replace the file, unless the run has ended."""
-        if not self.is_kept:
-            return
+        """Replace the file, unless the run has ended; warn once if that becomes impossible."""
         with self._lock:
             if self._run.ended:
                 return
@@ -148,18 +148,13 @@ class StateFile:
                         file.flush()
                         os.fsync(file.fileno())
                 partial.replace(self._path)
+                self._is_writable = True
             except OSError as error:
-                self._fail(str(error))
+                if self._is_writable:
+                    self._warn(str(error))
+                self._is_writable = False
                 with suppress(OSError):
                     partial.unlink()
-            else:
-                self._has_warned = False
-
-    def _fail(self, text: str) -> None:
-        """Warn of a problem once, until the file can be written again."""
-        if not self._has_warned:
-            self._has_warned = True
-            self._warn(f'state.path: {self._path}: {text}')
 
 
 def _locked(path: Path) -> tuple[Path, BinaryIO]:
@@ -168,10 +163,8 @@ def _locked(path: Path) -> tuple[Path, BinaryIO]:
 
     Raises
     ------
-    BlockingIOError
-        If another process has locked it.
     OSError, ValueError
-        If it cannot be a state file.
+        If it cannot be a state file, or another process has locked it.
     """
     if not path.is_absolute():
         raise ValueError('not an absolute path')
@@ -186,8 +179,11 @@ def _locked(path: Path) -> tuple[Path, BinaryIO]:
             if file.read(1) not in (b'', b'\0', b'{'):
                 raise ValueError('not a state file')
     stacks_file = path.with_name(f'{path.name}.stacks').open('a+b')
-    # The lock lasts until the process is gone, however it ends.
-    fcntl.flock(stacks_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    try:
+        # The lock lasts until the process is gone, however it ends.
+        fcntl.flock(stacks_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise ValueError('in use by another node') from None
     return path, stacks_file
 
 

@@ -54,18 +54,14 @@ class Watchdog:
     """
 
     def __init__(
-        self,
-        timeout: float,
-        stacks_file: IO[bytes] | None,
-        on_stuck: Callable[[str], object],
+        self, timeout: float, stacks_file: IO[bytes] | None, on_stuck: Callable[[str], object]
     ) -> None:
         if 0.0 < timeout < _MIN_TIMEOUT:
             raise ValueError(
                 f'watchdog_timeout must be 0, or {_MIN_TIMEOUT:g} or more, not {timeout}'
             )
         self.turns = 0
-        self._timeout, self._on_stuck = timeout, on_stuck
-        self._stacks_file: Any = stacks_file or sys.stderr
+        self._timeout, self._stacks_file, self._on_stuck = timeout, stacks_file, on_stuck
         self._stopping = threading.Event()
         if timeout:
             threading.Thread(target=self._watch, name='watchdog', daemon=True).start()
@@ -76,24 +72,20 @@ class Watchdog:
 
     def _watch(self) -> None:
         """Watch the number of turns until told to stop."""
-        turns, unchanged = self.turns, 0
-        if self._stacks_file is None:
-            self._stacks_file = os.open(os.devnull, os.O_WRONLY)
-        self._arm_last_resort()
-        while not self._stopping.wait(self._timeout / _LOOKS_PER_TIMEOUT):
-            self._arm_last_resort()
-            unchanged = unchanged + 1 if turns == self.turns else 0
+        stacks_file: Any = self._stacks_file or sys.stderr or os.open(os.devnull, os.O_WRONLY)
+        unchanged = 0
+        while unchanged < _LOOKS_PER_TIMEOUT:
+            # It ends the process, unless this line is reached again in time.
+            faulthandler.dump_traceback_later(
+                _LAST_RESORT * self._timeout, exit=True, file=stacks_file
+            )
             turns = self.turns
-            if unchanged == _LOOKS_PER_TIMEOUT:
-                reason = f'watchdog: no turn of the executor for {self._timeout:g} s, {_place()}'
-                leave(STUCK, reason, partial(self._on_stuck, reason))
-        faulthandler.cancel_dump_traceback_later()
-
-    def _arm_last_resort(self) -> None:
-        """Make faulthandler end the process, unless this method is called again in time."""
-        faulthandler.dump_traceback_later(
-            _LAST_RESORT * self._timeout, exit=True, file=self._stacks_file
-        )
+            if self._stopping.wait(self._timeout / _LOOKS_PER_TIMEOUT):
+                faulthandler.cancel_dump_traceback_later()
+                return
+            unchanged = unchanged + 1 if turns == self.turns else 0
+        reason = f'watchdog: no turn of the executor for {self._timeout:g} s, {_place()}'
+        leave(STUCK, reason, partial(self._on_stuck, reason))
 
 
 def _place() -> str:

@@ -35,7 +35,7 @@ from obbhbb_ros.nodes.last_run import LastRun
 from obbhbb_ros.nodes.last_run import Run
 from obbhbb_ros.nodes.last_run import last_run
 from obbhbb_ros.nodes.last_run import read_run
-from obbhbb_ros.nodes.state_file import StateFile
+from obbhbb_ros.nodes.state_file import open_state_file
 
 # These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once
@@ -314,31 +314,24 @@ def test_the_last_run_is_reported_in_plain_words() -> None:
 )
 def test_a_path_that_cannot_be_a_file_is_reported(path: str) -> None:
     warnings: list[str] = []
-    state_file = StateFile(path, '/n', {}, warnings.append)
-    state_file.begin('active')
-    state_file.end('SIGINT', asked=True)
+    assert open_state_file(path, '/n', {}, warnings.append) is None
     (text,) = warnings
     assert text.startswith(f'state.path: {path}: ')
-    assert not state_file.is_kept
 
 
 def test_a_file_of_another_kind_is_not_replaced(tmp_path: Path) -> None:
     file = tmp_path / 'flight.yaml'
     file.write_text('overlay: {ros__parameters: {}}')
     warnings: list[str] = []
-    state_file = StateFile(str(file), '/n', {}, warnings.append)
-    state_file.begin('active')
-    state_file.end('SIGINT', asked=True)
+    assert open_state_file(str(file), '/n', {}, warnings.append) is None
     assert file.read_text() == 'overlay: {ros__parameters: {}}'
     assert warnings == [f'state.path: {file}: not a state file; this run keeps no state file']
-    assert state_file.last_run.warning == ''
-    assert not state_file.is_kept
 
 
 DYING = """
 import os, sys
-from obbhbb_ros.nodes.state_file import StateFile
-state_file = StateFile(sys.argv[1], '/n', {}, print)
+from obbhbb_ros.nodes.state_file import open_state_file
+state_file = open_state_file(sys.argv[1], '/n', {}, print)
 if 'start' in sys.argv:
     state_file.begin('active')
 if 'crash' in sys.argv:
