@@ -171,15 +171,8 @@ class _KeptWaitSet:
             count = NumberOfEntities(*map(len, handles))
             for waitable in self._waitables:
                 count += waitable.get_num_entities()
-            self._wait_set = rclpy_implementation.WaitSet(
-                count.num_subscriptions,
-                count.num_guard_conditions,
-                count.num_timers,
-                count.num_clients,
-                count.num_services,
-                count.num_events,
-                context.handle,
-            )
+            counts = [getattr(count, f'num_{kind}s') for kind in (*_KINDS, 'event')]
+            self._wait_set = rclpy_implementation.WaitSet(*counts, context.handle)
         except BaseException:
             self._stack.close()
             raise

@@ -66,14 +66,12 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
     ) -> None:
         super().__init__(name, **kwargs)
         self.parameters = LiveParameters[SettingsT](self, table, internals.parameters_given(self))
-        unknown = self.parameters.unknown
-        overrides = [name for name in unknown if name.startswith(OVERRIDE_PREFIX)]
-        if len(overrides) < len(unknown):
-            names = ', '.join(name for name in unknown if name not in overrides)
-            self.get_logger().warning(f'unknown parameters, ignored: {names}')
+        unknown = [n for n in self.parameters.unknown if not n.startswith(OVERRIDE_PREFIX)]
+        if unknown:
+            self.get_logger().warning(f'unknown parameters, ignored: {", ".join(unknown)}')
         self.monitor = Monitor(rates)
         self.reporter = Reporter(self, self.monitor, self.parameters.notable_values)
-        self.topics = NodeTopics(self, self.reporter, overrides)
+        self.topics = NodeTopics(self, self.reporter)
         self.parts: list[Part] = [self.reporter, self.topics]
         internals.refuse_impossible_transitions(self, self.get_logger().error)
 
@@ -93,11 +91,9 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
         """
         if not self.get_parameter(AUTOSTART.name).value:
             return
-        for name, transition in (
-            ('configure', self.trigger_configure),
-            ('activate', self.trigger_activate),
-        ):
-            if transition() != TransitionCallbackReturn.SUCCESS:
+        transitions = {'configure': self.trigger_configure, 'activate': self.trigger_activate}
+        for name, trigger in transitions.items():
+            if trigger() != TransitionCallbackReturn.SUCCESS:
                 raise StartError(f'{self.get_name()} failed to {name}; the log says why')
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
 from importlib import import_module
 from typing import Any
 
@@ -15,6 +16,7 @@ from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.parts import Part
 from obbhbb_ros.nodes.reporter import Reporter
 from obbhbb_ros.wire.buffer import WireError
@@ -22,6 +24,7 @@ from obbhbb_ros.wire.layouts import InputType
 
 OVERRIDE_PREFIX = 'qos_overrides.'
 _DEPTH = 10
+_OVERRIDABLE = QoSOverridingOptions.with_default_policies()
 
 
 def message_type(input_type: InputType) -> Any:
@@ -52,6 +55,12 @@ def best_effort(depth: int) -> QoSProfile:
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
+def create_output(node: Node, kind: Any, topic: str, depth: int = _DEPTH) -> Any:
+    """Create a reliable publisher, given its message class."""
+    return node.create_publisher(kind, topic, reliable(depth), qos_overriding_options=_OVERRIDABLE)
+
+
+@dataclass(eq=False)
 class TopicOutput:
     """
     A topic that a node publishes on; made by `NodeTopics.output`.
@@ -62,23 +71,21 @@ class TopicOutput:
         Publishes a message or its bytes, while the topic is open.
     """
 
-    publish: Callable[[Any], None]
-
-    def __init__(self, node: Node, kind: Any, topic: str, depth: int) -> None:
-        self._node, self._definition = node, (kind, topic, reliable(depth))
-        self._publisher: Any = None
+    node: Node
+    kind: Any
+    topic: str
+    depth: int
+    publish: Callable[[Any], None] = field(init=False)
+    _publisher: Any = None
 
     def open(self) -> None:
         """Create the publisher."""
-        overridable = QoSOverridingOptions.with_default_policies()
-        self._publisher = self._node.create_publisher(
-            *self._definition, qos_overriding_options=overridable
-        )
+        self._publisher = create_output(self.node, self.kind, self.topic, self.depth)
         self.publish = self._publisher.publish
 
     def close(self) -> None:
         """Destroy the publisher, if there is one."""
-        self._node.destroy_publisher(self._publisher)
+        self.node.destroy_publisher(self._publisher)
         self._publisher = None
 
     def wanted(self) -> bool:
@@ -86,6 +93,7 @@ class TopicOutput:
         return self._publisher is not None and self._publisher.get_subscription_count() > 0
 
 
+@dataclass(eq=False)
 class TopicInput:
     """
     A topic that a node subscribes to, for the bytes of its messages; made by `NodeTopics.input`.
@@ -94,24 +102,18 @@ class TopicInput:
     that the middleware lost.
     """
 
-    def __init__(
-        self,
-        topics: NodeTopics,
-        kind: Any,
-        topic: str,
-        callback: Callable[[bytes], object],
-        counter: str,
-        qos: QoSProfile,
-    ) -> None:
-        self._topics, self._node = topics, topics.node
-        self._kind, self._topic, self._qos = kind, topic, qos
-        self._callback, self._counter = callback, counter
-        self._subscription: Any = None
+    topics: NodeTopics
+    kind: Any
+    topic: str
+    callback: Callable[[bytes], object]
+    counter: str
+    qos: QoSProfile
+    _subscription: Any = None
 
     @property
     def topic_name(self) -> str:
         """Name of the topic after namespace and remaps."""
-        name: str = self._node.resolve_topic_name(self._topic)
+        name: str = self.topics.node.resolve_topic_name(self.topic)
         return name
 
     @property
@@ -121,19 +123,19 @@ class TopicInput:
 
     def open(self) -> None:
         """Subscribe."""
-        self._subscription = self._node.create_subscription(
-            message_type(self._kind) if isinstance(self._kind, InputType) else self._kind,
-            self._topic,
-            self._receive_when_active if self._counter else self._receive,
-            self._qos,
+        self._subscription = self.topics.node.create_subscription(
+            message_type(self.kind) if isinstance(self.kind, InputType) else self.kind,
+            self.topic,
+            self._receive_when_active if self.counter else self._receive,
+            self.qos,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_message_lost),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            qos_overriding_options=_OVERRIDABLE,
         )
 
     def close(self) -> None:
         """Unsubscribe, if subscribed."""
-        self._node.destroy_subscription(self._subscription)
+        self.topics.node.destroy_subscription(self._subscription)
         self._subscription = None
 
     def has_publisher(self) -> bool:
@@ -142,9 +144,9 @@ class TopicInput:
 
     def _receive_when_active(self, data: bytes) -> None:
         """Count a message, and handle it if the node is active."""
-        counts = self._topics.reporter.monitor.counts
-        counts[self._counter] += 1
-        if self._topics.is_active:
+        counts = self.topics.reporter.monitor.counts
+        counts[self.counter] += 1
+        if self.topics.is_active:
             self._receive(data)
         else:
             counts['messages_while_inactive'] += 1
@@ -152,10 +154,10 @@ class TopicInput:
     def _receive(self, data: bytes) -> None:
         """Handle a message; count and report it if it cannot be read."""
         try:
-            self._callback(data)
+            self.callback(data)
         except WireError as error:
-            self._topics.reporter.monitor.add('messages_unreadable')
-            self._topics.reporter.warn(
+            self.topics.reporter.monitor.add('messages_unreadable')
+            self.topics.reporter.warn(
                 'unreadable message',
                 f'dropped a message of {len(data)} bytes on {self.topic_name}, it cannot be '
                 f'read as {self._subscription.msg_type.__name__}: {error}',
@@ -163,9 +165,9 @@ class TopicInput:
 
     def _on_message_lost(self, status: Any) -> None:
         """Count messages that the middleware lost, and say how to avoid it."""
-        self._topics.reporter.monitor.add('messages_lost', status.total_count_change)
+        self.topics.reporter.monitor.add('messages_lost', status.total_count_change)
         topic = self.topic_name
-        self._topics.reporter.warn(
+        self.topics.reporter.warn(
             f'messages lost on {topic}',
             f'the middleware lost {status.total_count_change} messages on {topic}, '
             f'{status.total_count} in all: messages over 0.5 MB need the DDS profile '
@@ -184,8 +186,6 @@ class NodeTopics(Part):
         The node.
     reporter : Reporter
         Counts messages and receives warnings.
-    overrides : sequence of str
-        Names of the QoS overrides from YAML files and the command line.
 
     Attributes
     ----------
@@ -193,17 +193,15 @@ class NodeTopics(Part):
         Whether the node is active.
     """
 
-    def __init__(self, node: Node, reporter: Reporter, overrides: Sequence[str]) -> None:
+    def __init__(self, node: Node, reporter: Reporter) -> None:
         self.node, self.reporter, self.is_active = node, reporter, False
-        self._overrides = overrides
-        self._outputs: list[TopicOutput] = []
-        self._inputs: list[TopicInput] = []
+        self._topics: list[TopicOutput | TopicInput] = []
         self._on_demand: list[TopicInput] = []
 
     def output(self, kind: Any, topic: str, depth: int = _DEPTH) -> TopicOutput:
         """Add a topic to publish on, given its message class."""
         output = TopicOutput(self.node, kind, topic, depth)
-        self._outputs.append(output)
+        self._topics.append(output)
         return output
 
     def input(
@@ -242,14 +240,12 @@ class NodeTopics(Part):
             The topic.
         """
         added = TopicInput(self, kind, topic, callback, counter, qos or best_effort(_DEPTH))
-        (self._on_demand if on_demand else self._inputs).append(added)
+        (self._on_demand if on_demand else self._topics).append(added)
         return added
 
     def configure(self) -> None:
         """Create publishers and subscriptions."""
-        for output in self._outputs:
-            output.open()
-        for topic in self._inputs:
+        for topic in self._topics:
             topic.open()
         self._warn_of_unused_overrides()
 
@@ -263,10 +259,8 @@ class NodeTopics(Part):
 
     def cleanup(self) -> None:
         """Destroy subscriptions and publishers."""
-        for topic in (*self._on_demand, *self._inputs):
+        for topic in (*self._on_demand, *reversed(self._topics)):
             topic.close()
-        for output in self._outputs:
-            output.close()
 
     def _warn_of_unused_overrides(self) -> None:
         """Warn of QoS overrides that match no topic, or no policy that can be overridden."""
@@ -274,8 +268,10 @@ class NodeTopics(Part):
         later = tuple(f'{OVERRIDE_PREFIX}{topic.topic_name}.' for topic in self._on_demand)
         unused = [
             name
-            for name in self._overrides
-            if not name.startswith(later) and not self.node.has_parameter(name)
+            for name in sorted(internals.parameters_given(self.node))
+            if name.startswith(OVERRIDE_PREFIX)
+            and not name.startswith(later)
+            and not self.node.has_parameter(name)
         ]
         if unused:
             self.node.get_logger().warning(

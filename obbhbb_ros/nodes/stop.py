@@ -13,7 +13,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import NoReturn
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+STARTING = 1.0
+"""Patience while the node starts, seconds: reading a long label file is not worth waiting for."""
+
+RUNNING = 4.0
+"""Patience after that, seconds; `ros2 launch` kills after ten."""
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_LAST_CALL = 1.0
 
 
 class Stop:
@@ -40,15 +47,14 @@ class Stop:
         self.name = ''
         self.on_leaving: Callable[[str], object] = lambda reason: None
         self._wake: Callable[[], None] | None = None
-        self._requested = threading.Event()
         self._lock = threading.Lock()
-        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         threading.Thread(target=self._listen, name='signals', daemon=True).start()
 
     @property
     def requested(self) -> bool:
         """Whether the process was asked to end."""
-        return self._requested.is_set()
+        return bool(self.name)
 
     def wake_by(self, wake: Callable[[], None] | None) -> None:
         """Set the function that the signal thread calls when a signal comes; None for none."""
@@ -57,19 +63,14 @@ class Stop:
 
     def _listen(self) -> None:
         """Wait for the first signal, ask the process to end, and make sure that it does."""
-        self.name = signal.Signals(signal.sigwait(SIGNALS)).name
+        self.name = signal.Signals(signal.sigwait(_SIGNALS)).name
         asked = time.monotonic()
-        self._requested.set()
         with self._lock:
             if self._wake is not None:
                 self._wake()
         # The node may finish starting in the meantime, which raises the patience.
         while (left := asked + self.patience - time.monotonic()) > 0.0:
-            signal.sigtimedwait(SIGNALS, left)
-        self._leave()
-
-    def _leave(self) -> None:
-        """End the process at once; write its stacks if it hangs."""
+            signal.sigtimedwait(_SIGNALS, left)
         if self.patience <= STARTING:
             os._exit(0)
         reason = f'not ended {self.patience:g} s after a signal'
@@ -100,12 +101,3 @@ def leave(code: int, reason: str, last: Callable[[], object]) -> NoReturn:
         thread.start()
         thread.join(_LAST_CALL)
     os._exit(code)
-
-
-STARTING = 1.0
-"""Patience while the node starts, seconds: reading a long label file is not worth waiting for."""
-
-RUNNING = 4.0
-"""Patience after that, seconds; `ros2 launch` kills after ten."""
-
-_LAST_CALL = 1.0
