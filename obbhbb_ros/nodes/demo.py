@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import struct
@@ -13,10 +14,9 @@ from collections import Counter
 from collections.abc import Callable
 from collections.abc import Mapping
 from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter
 from typing import Any
 from typing import NamedTuple
 
@@ -125,7 +125,7 @@ def boxes_by_method(labels: ImageLabels) -> dict[str, FloatArray]:
         chain.node.create_subscription(Detection2DArray, 'boxes', answers.append, 10)
         publisher = chain.node.create_publisher(Detection2DArray, 'detections', 10)
         # Repeatedly, because client and node discover each other's topics one by one.
-        chain.repeat_until(partial(publisher.publish, message), lambda: bool(answers), 'boxes')
+        chain.spin_until(lambda: bool(answers), 'boxes', partial(publisher.publish, message))
     boxes = np.split(xyxy_of(answers[0]), len(ONBOARD_METHODS))
     return dict(zip(ONBOARD_METHODS, boxes, strict=True))
 
@@ -166,17 +166,18 @@ def record_chain(frames: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> lis
     with _Chain(nodes) as chain:
         camera = _Camera(chain.node)
         # Discovery takes a different time for every topic.
-        chain.repeat_until(partial(camera.send, *frames[0]), camera.has_any, 'complete frame')
+        chain.spin_until(
+            lambda: any(map(_is_complete, camera.frames.values())),
+            'complete frame',
+            partial(camera.send, *frames[0]),
+        )
         camera.frames.clear()
         for labels, pixels in frames:
             due = time.monotonic() + _PERIOD
-            camera.send(labels, pixels)
-            chain.spin_until(camera.has_last, 'complete frame')
+            frame = camera.send(labels, pixels)
+            chain.spin_until(partial(_is_complete, frame), 'complete frame')
             chain.spin_for(due - time.monotonic())
-    return sorted(
-        (message for frame in camera.frames for message in frame.messages),
-        key=lambda message: message.time,
-    )
+    return sorted(itertools.chain.from_iterable(camera.frames.values()), key=attrgetter('time'))
 
 
 def last_overlay(messages: Sequence[Recorded]) -> bytes:
@@ -185,68 +186,58 @@ def last_overlay(messages: Sequence[Recorded]) -> bytes:
     return bytes(deserialize_message(last.data, CompressedImage).data)
 
 
-@dataclass
-class _Frame:
-    """All messages about one image."""
-
-    stamp: int
-    messages: list[Recorded] = field(default_factory=list)
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether every message has arrived exactly once."""
-        plans = (m.data for m in self.messages if m.topic == '/crop_regions')
-        chips = sum(len(Detections(data)) for data in plans)
-        expected = {
-            **dict.fromkeys(_PER_FRAME, 1),
-            **dict.fromkeys(_PER_LAYER, len(LAYER_COLORS)),
-            **dict.fromkeys(_PER_CHIP, chips),
-        }
-        return Counter(message.topic for message in self.messages) == Counter(expected)
+def _is_complete(frame: Sequence[Recorded]) -> bool:
+    """Return whether every message about an image has arrived exactly once."""
+    plans = (message.data for message in frame if message.topic == '/crop_regions')
+    chips = sum(len(Detections(data)) for data in plans)
+    expected = {
+        **dict.fromkeys(_PER_FRAME, 1),
+        **dict.fromkeys(_PER_LAYER, len(LAYER_COLORS)),
+        **dict.fromkeys(_PER_CHIP, chips),
+    }
+    return Counter(message.topic for message in frame) == Counter(expected)
 
 
 class _Camera:
-    """A camera with a detector, which records all messages about its images."""
+    """
+    A camera with a detector, which records all messages about its images.
+
+    Attributes
+    ----------
+    frames : dict of int to list of Recorded
+        The messages about each image by its stamp, in the order of the stamps.
+    """
 
     def __init__(self, node: Any) -> None:
-        self.frames: list[_Frame] = []
+        self.frames: dict[int, list[Recorded]] = {}
         self._node = node
         self._publishers = {
             topic: node.create_publisher(kind, topic.strip('/'), 100)
             for topic, kind in _SENT.items()
         }
         for topic, kind in _TYPES.items():
-            node.create_subscription(
-                kind, topic.strip('/'), partial(self._receive, topic), 1000, raw=True
-            )
+            receive = partial(self._receive, topic)
+            node.create_subscription(kind, topic.strip('/'), receive, 1000, raw=True)
 
-    def send(self, labels: ImageLabels, pixels: NDArray[np.uint8]) -> None:
-        """Publish a frame with the present time as its stamp."""
+    def send(self, labels: ImageLabels, pixels: NDArray[np.uint8]) -> list[Recorded]:
+        """Publish an image with the present time as its stamp; return the list of its messages."""
         moment = self._node.get_clock().now()
         header = Header(stamp=moment.to_msg(), frame_id='camera')
         height, width = pixels.shape[:2]
-        self.frames.append(_Frame(moment.nanoseconds))
+        frame = self.frames[moment.nanoseconds] = list[Recorded]()
         self._publishers['/camera_info'].publish(_camera_info(header, width, height))
         self._publishers['/image'].publish(image_message('rgb8', pixels, header))
         self._publishers['/detections'].publish(detections_message(labels, header))
-
-    def has_any(self) -> bool:
-        """Return whether any frame is complete."""
-        return any(frame.is_complete for frame in self.frames)
-
-    def has_last(self) -> bool:
-        """Return whether the last frame is complete."""
-        return self.frames[-1].is_complete
+        return frame
 
     def _receive(self, topic: str, data: bytes) -> None:
         """Add a message to its frame."""
         message = Recorded(topic, time.time_ns(), bytes(data))
         stamp = nanoseconds_of(struct.unpack_from('<iI', data, _STAMP_AT))
         # The stamp of a chip is that of its image plus some nanoseconds.
-        for frame in reversed(self.frames):
-            if frame.stamp <= stamp:
-                frame.messages.append(message)
-                return
+        image_stamp = max((taken for taken in self.frames if taken <= stamp), default=None)
+        if image_stamp is not None:
+            self.frames[image_stamp].append(message)
 
 
 def _camera_info(header: Header, width: int, height: int) -> CameraInfo:
@@ -294,21 +285,10 @@ class _Chain:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         for executable, arguments in self._nodes.items():
-            self._processes[executable] = subprocess.Popen(
-                [
-                    sys.executable,
-                    '-m',
-                    'obbhbb_ros.nodes',
-                    executable,
-                    # Until discovery is complete, warnings of missing messages are normal.
-                    '--ros-args',
-                    '--log-level',
-                    'error',
-                    '-r',
-                    f'__ns:={self._namespace}',
-                    *arguments,
-                ]
-            )
+            command = [sys.executable, '-m', 'obbhbb_ros.nodes', executable, '--ros-args']
+            # Until discovery is complete, warnings of missing messages are normal.
+            command += ['--log-level', 'error', '-r', f'__ns:={self._namespace}', *arguments]
+            self._processes[executable] = subprocess.Popen(command)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -327,14 +307,10 @@ class _Chain:
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
-    def spin_until(self, condition: Callable[[], bool], what: str) -> None:
-        """Receive messages until a condition holds."""
-        self.repeat_until(lambda: None, condition, what)
-
-    def repeat_until(
-        self, send: Callable[[], None], condition: Callable[[], bool], what: str
+    def spin_until(
+        self, condition: Callable[[], bool], what: str, send: Callable[[], object] = lambda: None
     ) -> None:
-        """Send something repeatedly until a condition holds; TimeoutError after 20 s."""
+        """Receive, and send something repeatedly, until a condition holds; TimeoutError in 20 s."""
         deadline, again = time.monotonic() + _TIMEOUT, 0.0
         while not condition():
             now = time.monotonic()

@@ -20,9 +20,6 @@ from geometry_msgs.msg import PolygonStamped
 from numpy.typing import NDArray
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from rclpy.qos import ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
@@ -41,6 +38,7 @@ from obbhbb_ros.labels.image_files import load_image
 from obbhbb_ros.labels.image_labels import BowSource
 from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.live_parameters import LiveParameters
+from obbhbb_ros.nodes.node_topics import create_output
 from obbhbb_ros.nodes.node_topics import message_type
 from obbhbb_ros.settings.play_detections import PLAY_DETECTIONS
 from obbhbb_ros.settings.play_detections import PlayerSettings
@@ -48,6 +46,7 @@ from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 _POLL_PERIOD = 0.1
 _QUIET_POLLS = 3
+_DEPTH = 100
 
 
 class PlayDetections(Node):
@@ -85,19 +84,12 @@ class PlayDetections(Node):
         self._position = 0
         self._subscribers: list[int] = []
         self._quiet_polls = 0
-        self._publisher = self._output(message_type(self._output_type), self._output_type.topic)
-        self._camera_publisher = self._output(CameraInfo, 'camera_info')
-        self._image_publisher = self._output(Image, 'image', 4)
-        self._timer = self.create_timer(_POLL_PERIOD, self._begin)
-
-    def _output(self, message_class: Any, topic: str, depth: int = 100) -> Any:
-        """Create a reliable publisher."""
-        return self.create_publisher(
-            message_class,
-            topic,
-            QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        self._publisher = create_output(
+            self, message_type(self._output_type), self._output_type.topic, _DEPTH
         )
+        self._camera_publisher = create_output(self, CameraInfo, 'camera_info', _DEPTH)
+        self._image_publisher = create_output(self, Image, 'image', depth=4)
+        self._timer = self.create_timer(_POLL_PERIOD, self._begin)
 
     def _read(self, settings: PlayerSettings) -> Iterator[ImageLabels]:
         """Read the labels; malformed records are reported, counted and left out."""
@@ -144,18 +136,16 @@ class PlayDetections(Node):
 
     def _play_next(self) -> None:
         """Publish the next image's labels, or end."""
+        settings = self._live_parameters.settings
         if self._position == len(self._images):
-            if not self._live_parameters.settings.loop:
+            if not settings.loop:
                 self._end()
                 return
             self._position = 0
         labels, file = self._images[self._position], self._files[self._position]
         self._position += 1
-        header = Header(
-            stamp=self.get_clock().now().to_msg(),
-            frame_id=self._live_parameters.settings.frame_id,
-        )
-        image = self._image(file, header)
+        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=settings.frame_id)
+        image = self._read_image(file, header) if file and settings.images else None
         size = labels.size or (image and (image.width, image.height))
         # Before the labels, because a node that plans crops needs the size first.
         if size:
@@ -163,14 +153,11 @@ class PlayDetections(Node):
             self._camera_publisher.publish(CameraInfo(header=header, width=width, height=height))
         if image:
             self._image_publisher.publish(image)
-        settings = self._live_parameters.settings
         for message in _MESSAGES[self._output_type.name](labels, header, settings.bow):
             self._publisher.publish(message)
 
-    def _image(self, file: Path | None, header: Header) -> Image | None:
-        """Read an image; None if `images` is off or it cannot be read."""
-        if not self._live_parameters.settings.images or file is None:
-            return None
+    def _read_image(self, file: Path, header: Header) -> Image | None:
+        """Read an image; None if it cannot be read."""
         try:
             return image_message(*load_image(file), header)
         except (ImportError, OSError, ValueError) as error:
@@ -198,11 +185,9 @@ def detections_message(
     message = Detection2DArray(header=header)
     for i, (x, y, length, width, theta) in enumerate(_xywhr(labels, bow).tolist()):
         detection = Detection2D(header=header, id=f'{labels.image}/{labels.ids[i] or i}')
-        detection.bbox.center.position.x = x
-        detection.bbox.center.position.y = y
-        detection.bbox.center.theta = theta
-        detection.bbox.size_x = length
-        detection.bbox.size_y = width
+        center, box = detection.bbox.center, detection.bbox
+        center.position.x, center.position.y, center.theta = x, y, theta
+        box.size_x, box.size_y = length, width
         result = ObjectHypothesisWithPose()
         result.hypothesis.class_id = labels.class_ids[i]
         result.hypothesis.score = float(labels.scores[i])
@@ -252,15 +237,8 @@ def image_message(encoding: str, pixels: NDArray[Any], header: Header) -> Image:
     height, width = pixels.shape[:2]
     # rclpy takes an array of bytes as it is, and checks anything else byte by byte.
     data = array('B', pixels.astype(pixels.dtype.newbyteorder('<'), order='C').tobytes())
-    return Image(
-        header=header,
-        height=height,
-        width=width,
-        encoding=encoding,
-        is_bigendian=0,
-        step=len(data) // height,
-        data=data,
-    )
+    step = len(data) // height
+    return Image(header=header, height=height, width=width, encoding=encoding, step=step, data=data)
 
 
 def polygons_message(labels: ImageLabels, header: Header) -> Any:
