@@ -32,6 +32,10 @@ Region = tuple[int, int, int, int]
 _MAX_SAMPLES = 256
 _CLIPPED = 0.5
 
+# Encoding to which OpenCV decodes a file, by its number of channels. `image_transport` names none
+# for a single channel.
+_DECODED = {1: '', 3: 'bgr8', 4: 'bgra8'}
+
 
 class Dropped(str, Enum):
     """Why a region of a frame became no chip, or the chip was not sent."""
@@ -62,26 +66,22 @@ class PixelFormat:
         Indices of red, green, blue and alpha; a single one for grey.
     depth : int
         Bits per channel.
-    decoded : str
-        Encoding to which OpenCV decodes a file of such pixels, as `image_transport` writes it in
-        `CompressedImage.format`; empty for a single channel.
     bayer : bool
         Whether it is a Bayer mosaic, in which a chip must start at even offsets.
     """
 
     channels: tuple[int, ...]
     depth: int
-    decoded: str = ''
     bayer: bool = False
 
 
 PIXEL_FORMATS: dict[str, PixelFormat] = {
     'mono8': PixelFormat((0,), 8),
     'mono16': PixelFormat((0,), 16),
-    'rgb8': PixelFormat((0, 1, 2), 8, 'bgr8'),
-    'bgr8': PixelFormat((2, 1, 0), 8, 'bgr8'),
-    'rgba8': PixelFormat((0, 1, 2, 3), 8, 'bgra8'),
-    'bgra8': PixelFormat((2, 1, 0, 3), 8, 'bgra8'),
+    'rgb8': PixelFormat((0, 1, 2), 8),
+    'bgr8': PixelFormat((2, 1, 0), 8),
+    'rgba8': PixelFormat((0, 1, 2, 3), 8),
+    'bgra8': PixelFormat((2, 1, 0, 3), 8),
     **{
         f'bayer_{pattern}{depth}': PixelFormat((0,), depth, bayer=True)
         for pattern in ('rggb', 'bggr', 'gbrg', 'grbg')
@@ -271,7 +271,7 @@ def encode(pixels: NDArray[Any], settings: CodecSettings) -> bytes:
         pixels = pixels[..., [0, 0, 0]] if pixels.shape[2] == 1 else pixels[..., :3]
     height, width, channels = pixels.shape
     mode = 'I;16' if pixels.dtype.itemsize == 2 else {1: 'L', 3: 'RGB', 4: 'RGBA'}[channels]
-    image = Image.frombytes(mode, (width, height), np.ascontiguousarray(pixels).tobytes())
+    image = Image.frombytes(mode, (width, height), pixels.tobytes())
     file = io.BytesIO()
     image.save(file, settings.codec, **_pillow_options(settings))
     return file.getvalue()
@@ -279,17 +279,16 @@ def encode(pixels: NDArray[Any], settings: CodecSettings) -> bytes:
 
 def _pillow_options(settings: CodecSettings) -> dict[str, Any]:
     """Translate the settings to the options of Pillow."""
-    if settings.codec == 'png':
-        return {}
-    if settings.codec == 'jpeg2000':
-        if settings.lossless:
-            return {'irreversible': False}
-        rate = 100.0 / settings.quality
-        return {'irreversible': True, 'quality_mode': 'rates', 'quality_layers': [rate]}
-    if settings.codec == 'webp':
+    quality, lossless = settings.quality, settings.lossless
+    rates = {} if lossless else {'quality_mode': 'rates', 'quality_layers': [100.0 / quality]}
+    options: dict[str, dict[str, Any]] = {
+        'jpeg': {'quality': quality},
+        'png': {},
         # `exact` also keeps the colours where alpha is 0.
-        return {'quality': settings.quality, 'lossless': settings.lossless, 'exact': True}
-    return {'quality': settings.quality}
+        'webp': {'quality': quality, 'lossless': lossless, 'exact': True},
+        'jpeg2000': {'irreversible': not lossless, **rates},
+    }
+    return options[settings.codec]
 
 
 @dataclass(frozen=True)
@@ -352,8 +351,6 @@ def format_text(encoding: str, codec: str) -> str:
     >>> format_text('rgb8', 'jpeg')
     'rgb8; jpeg compressed bgr8'
     """
-    layout = PIXEL_FORMATS[encoding]
-    decoded = layout.decoded
-    if len(layout.channels) not in CODECS[codec].channels:
-        decoded = 'bgr8'
-    return f'{encoding}; {codec} compressed {decoded}'
+    channels = len(PIXEL_FORMATS[encoding].channels)
+    stored = channels if channels in CODECS[codec].channels else 3
+    return f'{encoding}; {codec} compressed {_DECODED[stored]}'

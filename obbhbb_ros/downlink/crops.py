@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from obbhbb_ros.downlink.merging import MergeRules
-from obbhbb_ros.downlink.merging import Pixels
 from obbhbb_ros.downlink.merging import merge_regions
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.limits import MAX_INT
@@ -109,8 +110,7 @@ class CropSettings(CheckedSettings):
             raise ValueError(
                 f'max_size ({self.max_size}) must not be smaller than min_size ({self.min_size})'
             )
-        step = max(self.multiple_of, 1)
-        if self.max_size and self.max_side < max(self.min_size, step):
+        if self.max_size and self.max_side < max(self.min_size, self.multiple_of, 1):
             raise ValueError(
                 f'max_size ({self.max_size}) leaves no multiple_of ({self.multiple_of}) that '
                 f'reaches min_size ({self.min_size})'
@@ -281,15 +281,10 @@ def _by_value(
 def _merged(plan: CropPlan, image_size: tuple[int, int], settings: CropSettings) -> CropPlan:
     """Merge the regions of a plan in which each has one box."""
     bounds = np.array(image_size, dtype=np.float64)[:, None]
-
-    def fit(low: Pixels, high: Pixels) -> tuple[Pixels, Pixels]:
-        fitted = _fit_sizes(low.astype(float), high.astype(float), bounds, settings)
-        return fitted[0].astype(low.dtype), fitted[1].astype(low.dtype)
-
+    fit = partial(_fit_sizes, bounds=bounds, settings=settings)
     max_side = min(settings.merge_max_size, settings.max_side)
-    merged, group_of = merge_regions(
-        plan.regions.T, MergeRules(max_side, settings.multiple_of, image_size, fit)
-    )
+    rules = MergeRules(max_side, settings.multiple_of, image_size, fit)
+    merged, group_of = merge_regions(plan.regions.T, rules)
     groups = merged.shape[1]
     if groups == len(plan.regions):
         return plan
@@ -351,23 +346,19 @@ def _regions(boxes: FloatArray, bounds: FloatArray, settings: CropSettings) -> N
         margin = settings.padding * (boxes[2:] - boxes[:2]) + settings.padding_px
         boxes = np.concatenate((boxes[:2] - margin, boxes[2:] + margin))
     corners = np.minimum(np.maximum(boxes, 0.0), bounds)
-    low, high = corners[:2], corners[2:]
-    np.floor(low, out=low)
-    np.ceil(high, out=high)
-    fitted = _fit_sizes(low, high, bounds[:2], settings)
-    if fitted[0] is not low:
-        corners = np.concatenate(fitted)
-    return corners.astype(np.int64)
+    np.floor(corners[:2], out=corners[:2])
+    np.ceil(corners[2:], out=corners[2:])
+    return _fit_sizes(corners, bounds[:2], settings).astype(np.int64)
 
 
-def _fit_sizes(
-    low: FloatArray, high: FloatArray, bounds: FloatArray, settings: CropSettings
-) -> tuple[FloatArray, FloatArray]:
+def _fit_sizes(corners: NDArray[Any], bounds: FloatArray, settings: CropSettings) -> NDArray[Any]:
     """
     Change the sides of regions about their centres to what the settings allow.
 
-    `low` and `high` are (2, N), whole numbers from 0 to `bounds`, (2, 1), and so are the results.
+    `corners` are x0, y0, x1, y1, (4, N), whole numbers from 0 to `bounds`, (2, 1), and so is the
+    result.
     """
+    low, high = corners[:2], corners[2:]
     sides = high - low
     size = np.maximum(sides, max(settings.min_size, 1))
     if settings.multiple_of > 1:
@@ -377,7 +368,7 @@ def _fit_sizes(
     size = np.minimum(size, bounds)
     unchanged = size == sides
     if unchanged.all():
-        return low, high
+        return corners
     fitted = np.where(unchanged, low, np.floor((low + high - size) / 2.0))
     fitted = np.minimum(np.maximum(fitted, 0.0), bounds - size)
-    return fitted, fitted + size
+    return np.concatenate((fitted, fitted + size))

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 from typing import TypeAlias
 
 import numpy as np
@@ -46,13 +47,13 @@ class MergeRules:
     bounds : tuple of int
         Width and height of the image, which rounding does not exceed.
     fit : callable
-        Turns lower and upper corners, (2, N) each, into those of regions of such sizes.
+        Turns corners, (4, N), into those of regions of such sizes, whole numbers of any type.
     """
 
     max_side: float
     step: int
     bounds: tuple[int, int]
-    fit: Callable[[Pixels, Pixels], tuple[Pixels, Pixels]]
+    fit: Callable[[Pixels], NDArray[Any]]
 
 
 def merge_regions(
@@ -67,7 +68,7 @@ def merge_regions(
 
     Examples
     --------
-    >>> rules = MergeRules(100, step=1, bounds=(640, 480), fit=lambda low, high: (low, high))
+    >>> rules = MergeRules(100, step=1, bounds=(640, 480), fit=lambda corners: corners)
     >>> merged, group_of = merge_regions(np.array([[0, 2], [0, 0], [20, 24], [10, 10]]), rules)
     >>> merged.T.tolist(), group_of.tolist()
     ([[0, 0, 24, 10]], [0, 0])
@@ -145,14 +146,12 @@ def _find_partners(regions: _Round, rules: MergeRules, reach: int) -> bool:
             complete = False
         saving = _savings(regions, rows, slice(first, end), rules)
         saving[np.arange(len(rows)), rows - first] = 0
-        best = saving.argmax(axis=1)
-        _keep_better(regions, rows, best + first, saving[np.arange(len(rows)), best])
+        _keep_best(regions, rows, np.arange(first, end), saving)
         # Stale regions are searched as rows themselves.
         others = np.flatnonzero(~regions.stale[first:end])
         if others.size:
             saving = np.ascontiguousarray(saving[:, others].T)
-            best = saving.argmax(axis=1)
-            _keep_better(regions, others + first, rows[best], saving[np.arange(len(others)), best])
+            _keep_best(regions, others + first, rows, saving)
     return complete
 
 
@@ -182,12 +181,14 @@ def _savings(regions: _Round, rows: IntArray, columns: slice, rules: MergeRules)
     return saving
 
 
-def _keep_better(regions: _Round, rows: IntArray, partner: IntArray, saving: Pixels) -> None:
-    """Take a new partner for some regions where it saves more than the one so far."""
-    better = saving > regions.saving[rows]
+def _keep_best(regions: _Round, rows: IntArray, candidates: IntArray, saving: Pixels) -> None:
+    """Take the best candidate for each row where it saves more, (R, C), than the one so far."""
+    best = saving.argmax(axis=1)
+    saved = saving[np.arange(len(rows)), best]
+    better = saved > regions.saving[rows]
     chosen = rows[better]
-    regions.partner[chosen] = partner[better]
-    regions.saving[chosen] = saving[better]
+    regions.partner[chosen] = candidates[best[better]]
+    regions.saving[chosen] = saved[better]
 
 
 def _group(regions: _Round) -> IntArray:
@@ -228,8 +229,8 @@ def _merge(regions: _Round, root: IntArray, rules: MergeRules) -> tuple[_Round, 
     changed = sizes > 1
     low = np.minimum.reduceat(regions.corners[:2, order], starts, axis=1)
     high = np.maximum.reduceat(regions.corners[2:, order], starts, axis=1)
-    low[:, changed], high[:, changed] = rules.fit(low[:, changed], high[:, changed])
     corners = np.concatenate((low, high))
+    corners[:, changed] = rules.fit(corners[:, changed])
     sorting = _in_order(corners)
     new_index = np.empty(len(root), np.intp)
     new_index[order] = np.repeat(np.argsort(sorting), sizes)

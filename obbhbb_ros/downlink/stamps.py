@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import OrderedDict
 from collections.abc import Iterator
 
 from obbhbb_ros.wire.stamp import Stamp
@@ -26,8 +26,8 @@ class ChipStamps:
     """
 
     def __init__(self) -> None:
-        self._taken: set[Stamp] = set()
-        self._order: deque[Stamp] = deque()
+        # In the order in which they were taken.
+        self._taken: OrderedDict[Stamp, None] = OrderedDict()
 
     def of_image(self, stamp: Stamp) -> Iterator[Stamp]:
         """Yield stamps for the chips of an image: that of the image, then 1, 2, ... ns after it."""
@@ -35,16 +35,11 @@ class ChipStamps:
         while True:
             stamp = seconds, nanoseconds
             if stamp not in self._taken:
-                self._remember(stamp)
+                self._taken[stamp] = None
+                if len(self._taken) > _MAX_TAKEN:
+                    self._taken.popitem(last=False)
                 yield stamp
             nanoseconds += 1
             if nanoseconds >= _SECOND:
                 # After the last second that a message can hold, start again from 0.
                 seconds, nanoseconds = (0 if seconds == _MAX_SECONDS else seconds + 1), 0
-
-    def _remember(self, stamp: Stamp) -> None:
-        """Remember a stamp, and forget the oldest."""
-        self._taken.add(stamp)
-        self._order.append(stamp)
-        if len(self._order) > _MAX_TAKEN:
-            self._taken.discard(self._order.popleft())

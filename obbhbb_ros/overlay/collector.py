@@ -64,13 +64,10 @@ class ImageParts(Generic[ImageT, LayerT]):
     ----------
     since : float
         When the image arrived, or the first layer while there is no image.
-    number : int
-        Images are numbered in the order of arrival, from 1.
     """
 
     since: float
     image: ImageT | None = None
-    number: int = 0
     layers: dict[str, LayerT] = field(default_factory=dict)
 
 
@@ -109,8 +106,8 @@ class LayerCollector(Generic[ImageT, LayerT]):
         self._waiting = StampCache[ImageParts[ImageT, LayerT]](
             lambda reason, _: on_dropped(NotDrawn(reason.value))
         )
-        self._last_number = 0
-        self._last_ready = 0
+        # Arrival of the latest image that was ready.
+        self._last_ready = 0.0
 
     def __len__(self) -> int:
         """Count the stamps that wait."""
@@ -125,8 +122,7 @@ class LayerCollector(Generic[ImageT, LayerT]):
         parts = self._parts(stamp, now)
         is_new = parts.image is None
         if is_new:
-            self._last_number += 1
-            parts.since, parts.number = now, self._last_number
+            parts.since = now
         parts.image = image
         return is_new
 
@@ -161,10 +157,10 @@ class LayerCollector(Generic[ImageT, LayerT]):
             self._waiting.pop(stamp)
             if parts.image is None:
                 self._on_dropped(NotDrawn.NO_IMAGE)
-            elif not is_complete and parts.number < self._last_ready:
+            elif not is_complete and parts.since < self._last_ready:
                 self._on_dropped(NotDrawn.OVERTAKEN)
             else:
-                self._last_ready = max(self._last_ready, parts.number)
+                self._last_ready = max(self._last_ready, parts.since)
                 ready.append((parts.image, parts.layers))
         self._make_room(limits.max_images)
         return ready
@@ -184,6 +180,6 @@ class LayerCollector(Generic[ImageT, LayerT]):
     def _make_room(self, max_images: int) -> None:
         """Drop the oldest images where there are too many."""
         with_image = [s for s, parts in self._waiting.items() if parts.image is not None]
-        for stamp in with_image[: max(len(with_image) - max_images, 0)]:
+        for stamp in with_image[:-max_images]:
             self._waiting.pop(stamp)
             self._on_dropped(NotDrawn.CROWDED_OUT)

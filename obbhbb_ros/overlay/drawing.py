@@ -44,13 +44,11 @@ _MAX_SIDE = 65_500
 _MAX_TEXT_LENGTH = 24
 _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 # Pillow's names of pixels in memory.
-_RAW_MODES = {
-    'rgb8': 'RGB',
-    'bgr8': 'BGR',
-    'rgba8': 'RGBX',
-    'bgra8': 'BGRX',
-}
+_RAW_MODES = {'rgb8': 'RGB', 'bgr8': 'BGR', 'rgba8': 'RGBX', 'bgra8': 'BGRX'}
 _MAX_CACHED_TEXTS = 256
+
+Size: TypeAlias = tuple[int, int]
+"""Width and height, pixels."""
 
 Color: TypeAlias = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
@@ -80,11 +78,11 @@ class Style(CheckedSettings):
         True, 'Write class and score beside the detections, best score first, where there is room.'
     )
 
-    def line_width_for(self, size: tuple[int, int]) -> int:
+    def line_width_for(self, size: Size) -> int:
         """Return the line width of a picture of `size`, pixels."""
         return self.line_width or max(1, round(math.sqrt(size[0] * size[1]) / _SIDES_PER_LINE))
 
-    def text_size_for(self, size: tuple[int, int]) -> int:
+    def text_size_for(self, size: Size) -> int:
         """Return the text size of a picture of `size`, pixels."""
         suitable = round(math.sqrt(size[0] * size[1]) / _SIDES_PER_TEXT)
         return self.text_size or max(_MIN_TEXT_SIZE, suitable)
@@ -351,23 +349,15 @@ def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int
 
 
 def _place(
-    text: tuple[int, int],
-    low: FloatArray,
-    high: FloatArray,
-    size: tuple[int, int],
-    taken: FloatArray,
+    text: Size, low: FloatArray, high: FloatArray, size: Size, taken: FloatArray
 ) -> tuple[int, int] | None:
     """Find room above or below a box, inside the picture and clear of `taken`, (K, 4)."""
     width, height = text
+    left, top, right, bottom = taken.T
     x = int(min(max(low[0], 0.0), max(size[0] - width, 0)))
     for preferred in (int(low[1]) - height, int(high[1]) + 1):
         y = min(max(preferred, 0), max(size[1] - height, 0))
-        covers = (
-            (taken[:, 0] < x + width)
-            & (taken[:, 2] > x)
-            & (taken[:, 1] < y + height)
-            & (taken[:, 3] > y)
-        )
+        covers = (left < x + width) & (right > x) & (top < y + height) & (bottom > y)
         if not covers.any():
             return x, y
     return None
