@@ -84,7 +84,7 @@ class _Walk:
             start, is_end = place, True
             try:
                 for row in self.database.execute(query, (start, limit)):
-                    # Never backwards, whatever key the damage has given to a row.
+                    # Never go backwards: damage can give a row any key.
                     place, skipped, is_end = max(place, start + 1, row[0] + 1), 0, False
                     if row[0] >= start and row[0] not in self.seen:
                         self.seen.add(row[0])

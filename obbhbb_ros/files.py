@@ -77,8 +77,8 @@ def making(path: Path) -> Iterator[Path]:
     """
     Provide the path of a temporary folder in a `with` block that becomes `path` if it succeeds.
 
-    The block creates the folder; missing parent folders are created. After any failure neither
-    `path` nor anything temporary is left. The temporary folder has the same name and is in another
+    The block creates the folder; missing parent folders are created. After a failure neither
+    `path` nor a temporary file remains. The temporary folder has the same name and is in another
     temporary folder beside `path`, where the block may put other temporary files.
 
     Raises

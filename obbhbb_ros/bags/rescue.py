@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rescue of damaged bags: whatever can be read of one becomes an intact bag."""
+"""Rescue of damaged bags: the messages that can be read become an intact bag."""
 
 from __future__ import annotations
 
@@ -313,7 +313,7 @@ def unpack_chunk(compression: str, data: bytes) -> bytes:
 
 
 def _text(error: Exception) -> str:
-    """Return the text of an error, even if it has none of its own."""
+    """Say what went wrong; an error without a text is named by its type."""
     if isinstance(error, EndOfFile):
         return 'the file ends there'
     if isinstance(error, KeyError):

@@ -55,20 +55,9 @@ def add_spool_options(parser: ArgumentParser) -> None:
         help='only chips of these classes',
     )
     add('--id', dest='ids', nargs='+', default=(), metavar='ID', help='only these chips')
-    add(
-        '--min-value',
-        type=float,
-        default=-math.inf,
-        metavar='V',
-        help='only chips of this value or more',
-    )
-    add(
-        '--max-value',
-        type=float,
-        default=math.inf,
-        metavar='V',
-        help='only chips of this value or less',
-    )
+    for bound, default, others in (('min', -math.inf, 'more'), ('max', math.inf, 'less')):
+        meaning = f'only chips of this value or {others}'
+        add(f'--{bound}-value', type=float, default=default, metavar='V', help=meaning)
     add('--all', action='store_true', help='delete or revalue all chips, without a condition')
     add(
         '--limit',

@@ -108,7 +108,7 @@ def convert_image(
     bow: BowSource = 'none',
 ) -> ConvertedImage:
     """
-    Convert the boxes of an image, and keep how each was computed if `diagnostics`.
+    Convert the boxes of an image, and say how they were computed if `diagnostics`.
 
     `bow` says how the bow is known, as in `ImageLabels.boxes`.
     """

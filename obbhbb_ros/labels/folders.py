@@ -21,8 +21,8 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
     """
     List the label files of a path, at least one, sorted by name.
 
-    The path is a file, whatever its name, or a folder with label files directly in it: files with
-    one of some suffixes, given in lower case. Hidden files and ``classes.txt`` are not label files.
+    The path is a file of any name, or a folder with label files directly in it. Suffixes are in
+    lower case. Hidden files and ``classes.txt`` are not label files.
     Raises FileNotFoundError if there is no such path, ValueError for a pipe or a device, and
     LabelError if a folder holds no label file.
     """

@@ -204,7 +204,7 @@ def read_labels(
     FileNotFoundError
         If the path does not exist.
     LabelError
-        If a folder holds no label file, whatever `on_error` is; while iterating, at a malformed
+        If a folder holds no label file, also with `on_error`; while iterating, at a malformed
         record without `on_error`.
     ValueError
         If the format is unknown or cannot be detected, or `image_size` is not two positive

@@ -97,7 +97,7 @@ class LabelFile:
     path : Path
         The file.
     image_size : tuple of int or None
-        Width and height of every image in pixels, if the caller gave it.
+        Width and height of every image in pixels, if the caller passes them.
     on_error : callable
         Gets a LabelError for each malformed record, which is left out; by default, the error is
         raised.

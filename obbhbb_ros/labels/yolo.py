@@ -11,7 +11,7 @@ the corners of an oriented box::
 Predictions end with a confidence; those of a tracker, with a confidence and a track id. A file
 ``classes.txt`` in the folder, one name per line, gives the names of the class indices.
 
-The width and height of an image that has boxes must be given or are read from its image file.
+The caller passes the width and height of an image with boxes, or they are read from its image file.
 Confidences are written if a score is not 1. Classes that are all indices are written unchanged;
 otherwise they are names, numbered by ``classes.txt``: names already in it keep their number, others
 are added. Hulls, ids and the reference boxes of oriented boxes are not written.
