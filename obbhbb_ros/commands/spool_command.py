@@ -13,6 +13,7 @@ from contextlib import closing
 from pathlib import Path
 
 from obbhbb_ros.spool.chip_rows import StoredChip
+from obbhbb_ros.spool.console import ANY_CHIP
 from obbhbb_ros.spool.console import ChipFilter
 from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.salvage import intact_chips
@@ -82,9 +83,9 @@ def run_spool(options: Namespace) -> int:
         intact = ((chip, data) for chip, data in intact_chips(options.spool) if chips.matches(chip))
         _export(intact, options)
         return 0
-    if options.action in ('delete', 'revalue') and chips.is_any and not options.all:
+    if options.action in ('delete', 'revalue') and chips == ANY_CHIP and not options.all:
         raise ValueError(f'{options.action}: which chips? Give a condition, or --all')
-    if options.action in ('check', 'forget-outbox') and not chips.is_any:
+    if options.action in ('check', 'forget-outbox') and chips != ANY_CHIP:
         raise ValueError(f'{options.action}: takes no condition, it is for the whole spool')
     with closing(spools.open_spool(options.spool)) as console:
         return SPOOL_ACTIONS[options.action](console, chips, options) or 0

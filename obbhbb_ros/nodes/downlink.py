@@ -45,10 +45,7 @@ class Downlink(ManagedNode[DownlinkSettings]):
         self._books: SpoolConsole | None = None
         self._contact = False
         self.topics.input(
-            Bool,
-            'contact',
-            self._on_contact,
-            qos=reliable(1, DurabilityPolicy.TRANSIENT_LOCAL),
+            Bool, 'contact', self._on_contact, qos=reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
         )
         self.parameters.on_change = self._steer
         self.reporter.add_facts(self._facts)

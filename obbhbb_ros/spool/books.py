@@ -95,14 +95,9 @@ class Status:
     @property
     def balance(self) -> int:
         """Number of chips planned that are unaccounted for; 0 if the books balance."""
-        return self.counts.get('planned', 0) - (
-            self.counts.get('delivered', 0)
-            + self.waiting
-            + self.in_outbox
-            + self.in_work
-            + self.total('evicted')
-            + self.total('refused')
-        )
+        planned, delivered = (self.counts.get(name, 0) for name in ('planned', 'delivered'))
+        gone = delivered + self.total('evicted') + self.total('refused')
+        return planned - gone - self.waiting - self.in_outbox - self.in_work
 
 
 class SpoolAccess:
@@ -119,36 +114,27 @@ class SpoolAccess:
         Folder of the spool; created if it is missing.
     on_trouble : callable
         Called with a text about everything that an operator should know and no error reports.
-    on_open : callable
-        Called with a cursor, in a transaction, whenever a catalogue is opened.
-    **options
-        Passed to `Catalogue`.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        on_trouble: Callable[[str], object],
-        on_open: Callable[[sqlite3.Cursor], object] = lambda rows: None,
-        **options: float,
-    ) -> None:
+    # Seconds to wait for another process.
+    _patience = 5.0
+
+    def __init__(self, folder: Path, on_trouble: Callable[[str], object]) -> None:
         self._folder, self._on_trouble = Path(folder), on_trouble
-        self._catalogue = Catalogue(self._folder, _SCHEMA, _VERSION, on_trouble, on_open, **options)
+        self._catalogue = Catalogue(
+            self._folder, _SCHEMA, _VERSION, on_trouble, self._on_open, self._patience
+        )
 
     def status(self) -> Status:
         """Read the books."""
         with self._catalogue.transaction() as rows:
-            totals = {
-                state: (chips, size)
-                for state, chips, size in rows.execute('SELECT * FROM totals').fetchall()
-            }
-            (in_work,) = rows.execute('SELECT ifnull(sum(chips), 0) FROM frames').fetchone()
+            totals = 'FROM totals WHERE state'
             return Status(
-                waiting=totals[ChipState.WAITING][0] + totals[ChipState.CLAIMED][0],
-                waiting_bytes=totals[ChipState.WAITING][1] + totals[ChipState.CLAIMED][1],
-                in_outbox=totals[ChipState.RELEASED][0],
-                in_work=in_work,
-                file_bytes=_pragma(rows, 'page_count') * _pragma(rows, 'page_size'),
+                waiting=number(rows, f'SELECT sum(chips) {totals} != ?', ChipState.RELEASED),
+                waiting_bytes=number(rows, f'SELECT sum(bytes) {totals} != ?', ChipState.RELEASED),
+                in_outbox=number(rows, f'SELECT chips {totals} = ?', ChipState.RELEASED),
+                in_work=number(rows, 'SELECT ifnull(sum(chips), 0) FROM frames'),
+                file_bytes=number(rows, 'PRAGMA page_count') * number(rows, 'PRAGMA page_size'),
                 set_aside=self._catalogue.set_aside,
                 counts=dict(rows.execute('SELECT name, count FROM books').fetchall()),
             )
@@ -156,6 +142,14 @@ class SpoolAccess:
     def close(self) -> None:
         """Close the catalogue and release the locks; the next call opens it again."""
         self._catalogue.close()
+
+    def _on_open(self, rows: sqlite3.Cursor) -> None:
+        """Prepare a catalogue that has just been opened."""
+
+
+def number(rows: sqlite3.Cursor, query: str, *values: object) -> int:
+    """Read one number."""
+    return int(rows.execute(query, values).fetchone()[0])
 
 
 def book(rows: sqlite3.Cursor, name: str, count: int) -> None:
@@ -170,11 +164,10 @@ def book(rows: sqlite3.Cursor, name: str, count: int) -> None:
 def deliver(rows: sqlite3.Cursor, ids: Iterable[str]) -> None:
     """Count chips as delivered and delete them."""
     for chip_id in ids:
-        row = rows.execute('SELECT bytes FROM chips WHERE id = ?', (chip_id,)).fetchone()
-        if row is not None:
-            rows.execute('DELETE FROM chips WHERE id = ?', (chip_id,))
+        rows.execute('DELETE FROM chips WHERE id = ? RETURNING bytes', (chip_id,))
+        for (size,) in rows.fetchall():
             book(rows, 'delivered', 1)
-            book(rows, 'delivered_bytes', row[0])
+            book(rows, 'delivered_bytes', size)
 
 
 def evict(rows: sqlite3.Cursor, max_bytes: float) -> bool:
@@ -183,8 +176,8 @@ def evict(rows: sqlite3.Cursor, max_bytes: float) -> bool:
 
     Returns False if there is still no room when all waiting chips are gone.
     """
-    evicted, max_pages, is_left = 0, max_bytes / _pragma(rows, 'page_size'), True
-    while _pragma(rows, 'page_count') - _pragma(rows, 'freelist_count') > max_pages:
+    evicted, max_pages, is_left = 0, max_bytes / number(rows, 'PRAGMA page_size'), True
+    while number(rows, 'PRAGMA page_count') - number(rows, 'PRAGMA freelist_count') > max_pages:
         # Two queries, both answered by the one index.
         rows.execute(
             'DELETE FROM chips WHERE seq = (SELECT seq FROM chips WHERE state = ?1 AND value = '
@@ -197,13 +190,8 @@ def evict(rows: sqlite3.Cursor, max_bytes: float) -> bool:
             break
     book(rows, 'evicted.max_bytes', evicted)
     # Free pages are used again; only those far beyond a lowered limit go back to the disk.
-    excess = _pragma(rows, 'page_count') - int(_SLACK * max_pages)
-    for _ in range(min(excess, _pragma(rows, 'freelist_count'), _MAX_PAGES_GIVEN_BACK)):
+    excess = number(rows, 'PRAGMA page_count') - int(_SLACK * max_pages)
+    for _ in range(min(excess, number(rows, 'PRAGMA freelist_count'), _MAX_PAGES_GIVEN_BACK)):
         # One by one: Python takes one step of a statement that returns no rows.
         rows.execute('PRAGMA incremental_vacuum(1)')
     return is_left
-
-
-def _pragma(rows: sqlite3.Cursor, name: str) -> int:
-    """Read a number from SQLite."""
-    return int(rows.execute(f'PRAGMA {name}').fetchone()[0])

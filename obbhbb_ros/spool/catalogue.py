@@ -28,8 +28,8 @@ from obbhbb_ros.files import sync_folder
 _NAME = re.compile(r'chips_([0-9]+)_[0-9a-f]{6}\.sqlite3')
 DAMAGED = '.damaged'
 """Suffix of the mark beside a damaged database."""
-# Seconds to wait for a process that holds the lock, and after the first wait in vain.
-_PATIENCE, _IMPATIENCE = 5.0, 0.05
+# Seconds to wait for a process that holds the lock, after the first wait in vain.
+_IMPATIENCE = 0.05
 
 
 class SpoolError(ObbhbbError, OSError):
@@ -74,8 +74,8 @@ class Catalogue:
         schema: str,
         version: int,
         on_trouble: Callable[[str], object],
-        on_open: Callable[[sqlite3.Cursor], object] = lambda rows: None,
-        patience: float = _PATIENCE,
+        on_open: Callable[[sqlite3.Cursor], object],
+        patience: float,
     ) -> None:
         self._folder = folder
         self._patience = self._wait = patience
@@ -146,8 +146,15 @@ class Catalogue:
         """Return the connection to the database in use; open it if necessary."""
         if self._database is None or not self._is_current():
             self.close()
-            self._open()
-        assert self._database is not None
+            self._database = self._open()
+            self._inode = self._path.stat().st_ino
+            self.tag = self._path.stem.rpartition('_')[2]
+            try:
+                with _transaction(self._database, write=True) as rows:
+                    self._on_open(rows)
+            except BaseException:
+                self.close()
+                raise
         return self._database
 
     def _is_current(self) -> bool:
@@ -160,29 +167,22 @@ class Catalogue:
             self._on_trouble(f'{self._path} was deleted or replaced, a new catalogue begins')
         return is_same and is_in_use(self._path)
 
-    def _open(self) -> None:
+    def _open(self) -> sqlite3.Connection:
         """Open the database in use, or a new one."""
         if not self._folder.exists():
             self._folder.mkdir(parents=True, exist_ok=True)
             sync_folder(self._folder.parent)
         with _exclusive(self._folder / 'open.lock', self._wait):
-            self._path = self._newest_in_use() or self._new_path()
+            in_use = list(filter(is_in_use, catalogue_files(self._folder)))
+            self._path = in_use[-1] if in_use else self._new_path()
             try:
-                self._database = self._connect()
+                return self._connect()
             except sqlite3.DatabaseError as error:
                 if not _is_damage(error):
                     raise
                 self._on_trouble(self._set_aside(error))
                 self._path = self._new_path()
-                self._database = self._connect()
-        self._inode = self._path.stat().st_ino
-        self.tag = self._path.stem.rpartition('_')[2]
-        try:
-            with _transaction(self._database, write=True) as rows:
-                self._on_open(rows)
-        except BaseException:
-            self.close()
-            raise
+                return self._connect()
 
     def _connect(self) -> sqlite3.Connection:
         """Open the file in use; create its tables if it is new."""
@@ -218,7 +218,8 @@ class Catalogue:
                 return SpoolDamagedError(self._set_aside(error))
             except OSError as failure:
                 error = failure
-        elif _is_locked(error):
+        elif isinstance(error, sqlite3.OperationalError) and 'locked' in str(error):
+            # Another process holds the lock.
             self._set_wait(_IMPATIENCE)
         return SpoolError(f'{self._folder}: {error}')
 
@@ -232,10 +233,6 @@ class Catalogue:
         if seconds != self._wait and self._database is not None:
             self._database.execute(f'PRAGMA busy_timeout = {1000.0 * seconds:.0f}')
         self._wait = seconds
-
-    def _newest_in_use(self) -> Path | None:
-        """Return the database in use."""
-        return next(filter(is_in_use, reversed(catalogue_files(self._folder))), None)
 
     def _new_path(self) -> Path:
         """Return a name that no database had."""
@@ -262,11 +259,6 @@ def _number(path: Path) -> int:
 def _is_damage(error: Exception) -> bool:
     """Return whether an error means a damaged file; other errors have classes of their own."""
     return type(error) is sqlite3.DatabaseError
-
-
-def _is_locked(error: Exception) -> bool:
-    """Return whether an error means that another process holds the lock."""
-    return isinstance(error, sqlite3.OperationalError) and 'locked' in str(error)
 
 
 @contextmanager

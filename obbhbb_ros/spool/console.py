@@ -46,11 +46,6 @@ class ChipFilter:
     min_value: float = -math.inf
     max_value: float = math.inf
 
-    @property
-    def is_any(self) -> bool:
-        """Whether every chip is meant."""
-        return self == ChipFilter()
-
     def matches(self, chip: StoredChip) -> bool:
         """Return whether a chip is meant."""
         return (
@@ -124,8 +119,7 @@ class SpoolConsole(SpoolAccess):
     def integrity(self) -> list[str]:
         """Check the structure of the catalogue; list what is wrong."""
         with self._catalogue.transaction() as rows:
-            lines = rows.execute('PRAGMA integrity_check').fetchall()
-        return [text for (text,) in lines if text != 'ok']
+            return [text for (text,) in rows.execute('PRAGMA integrity_check') if text != 'ok']
 
     def _change_waiting(
         self, chips: ChipFilter, change: str, values: Sequence[Any] = (), booked_as: str = ''

@@ -24,6 +24,7 @@ from obbhbb_ros.downlink.budget import LinkSettings
 from obbhbb_ros.downlink.budget import TokenBucket
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.spool.catalogue import SpoolError
+from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.chip_rows import describe_intact
 from obbhbb_ros.spool.outbox import Contents
@@ -122,7 +123,6 @@ class OutboxFeeder:
         self._on_trouble, self._clock = on_trouble, clock
         # One attribute, so that another thread sets both at once.
         self._orders = (settings, False)
-        self._budget = settings.budget
         self._bucket = TokenBucket(settings.budget, clock())
         self._phase = Phase.RECOVER
         self._batch = ReleaseBatch(set(), set())
@@ -183,7 +183,7 @@ class OutboxFeeder:
         """Find out which claimed chips have got into the outbox."""
         self._check_outbox()
         contents = self._outbox.contents()
-        claimed = set(self._spool.claimed_ids())
+        claimed = self._spool.ids(ChipState.CLAIMED)
         # The bus may have taken some that were put there before the interruption.
         put = claimed & contents.complete.union(self._batch.put)
         missing = claimed - put
@@ -199,7 +199,7 @@ class OutboxFeeder:
         token = self._outbox.token()
         if token == expected:
             return
-        if expected and (waiting := len(self._spool.released_ids())):
+        if expected and (waiting := len(self._spool.ids(ChipState.RELEASED))):
             raise SpoolError(
                 f'{folder} is not the outbox into which {waiting} chips were released that have '
                 'not been removed yet; is it mounted? If that one is lost: obbhbb spool PATH '
@@ -232,14 +232,14 @@ class OutboxFeeder:
         if now < self._look_at:
             return
         # A chip that was to be removed is still to be, whatever the settings are now.
-        released = self._spool.released_ids()
+        released = self._spool.ids(ChipState.RELEASED)
         if not (settings.removal or settings.max_bytes or released):
             return
         self._check_outbox()
         self._contents = self._outbox.contents()
         # It may have been unmounted while it was read.
         self._check_outbox()
-        self._spool.delivered(set(released) - self._contents.ids)
+        self._spool.delivered(released - self._contents.ids)
         done = self._clock()
         self._look_at = done + max(_LOOK, (done - now) / _LOOK_SHARE)
 
@@ -252,16 +252,12 @@ class OutboxFeeder:
         overhead = settings.budget.overhead
         # The overhead is the link's: it takes no room in the outbox.
         room = self._room_in_outbox(settings) + overhead
-        max_room = (settings.max_bytes or inf) + overhead
+        max_cost = min(self._bucket.burst, (settings.max_bytes or inf) + overhead)
         claim = self._spool.claim(
-            _BATCH,
-            min(self.available, room),
-            min(self._bucket.burst, max_room),
-            overhead,
-            is_resumed=bool(self._unsure),
+            _BATCH, min(self.available, room), max_cost, overhead, is_resumed=bool(self._unsure)
         )
         if not claim.chips:
-            return self._stall(claim, room, max_room)
+            return self._stall(claim, settings, room)
         self._batch = ReleaseBatch(set(), {chip.id for chip, _ in claim.chips} - self._unsure)
         for chip, data in claim.chips:
             if not self._put(chip, data):
@@ -300,23 +296,25 @@ class OutboxFeeder:
         self._batch.put.add(chip.id)
         return True
 
-    def _stall(self, claim: Claim, room: float, max_room: float) -> float:
+    def _stall(self, claim: Claim, settings: ReleaseSettings, room: float) -> float:
         """Say why nothing is released; return how long to wait."""
         if claim.stall is Stall.NOTHING_WAITS:
             self.stalled_by = Stall.NOTHING_WAITS.value
             return _IDLE
         if claim.stall is Stall.ALL_TOO_LARGE:
-            limit = 'budget.burst' if self._bucket.burst <= max_room else 'outbox.max_bytes'
+            max_size = self._bucket.burst - settings.budget.overhead
+            limit = (
+                'budget.burst' if max_size <= (settings.max_bytes or inf) else 'outbox.max_bytes'
+            )
             self._report_stall(f'all chips that wait are larger than {limit}')
             # To find that out, all of them have to be read.
             return _RETRY
         if claim.missing > room:
-            max_bytes = self.settings.max_bytes
-            self._report_stall(f'outbox is full, outbox.max_bytes is {max_bytes:.0f}')
+            self._report_stall(f'outbox is full, outbox.max_bytes is {settings.max_bytes:.0f}')
             return _IDLE
         self.stalled_by = 'link budget'
         # Not longer: the budget may change.
-        return min(_IDLE, (claim.missing - self.available) / self._budget.bytes_per_second)
+        return min(_IDLE, (claim.missing - self.available) / settings.budget.bytes_per_second)
 
     def _report_stall(self, text: str) -> None:
         """Report, once, what an operator has to change before anything is released."""
@@ -327,9 +325,7 @@ class OutboxFeeder:
     def _refresh(self) -> ReleaseSettings:
         """Bring budget and available bytes up to date; return the settings in force."""
         settings, now = self.settings, self._clock()
-        if settings.budget != self._budget:
-            self._bucket.change(settings.budget, now)
-            self._budget = settings.budget
+        self._bucket.change(settings.budget, now)
         self.available = self._bucket.available(now)
         return settings
 

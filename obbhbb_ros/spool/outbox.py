@@ -90,13 +90,11 @@ class Outbox:
             sync_folder(self.folder)
         chip, described = folder / f'{chip_id}.{suffix}', folder / f'{chip_id}{JSON_SUFFIX}'
         try:
-            with replacing(chip) as partial:
-                partial.write_bytes(data)
-            # The name of the chip must be on disk before that of its JSON.
-            sync_folder(folder)
-            with replacing(described) as partial:
-                partial.write_bytes(json_bytes(description))
-            sync_folder(folder)
+            for path, content in ((chip, data), (described, json_bytes(description))):
+                with replacing(path) as partial:
+                    partial.write_bytes(content)
+                # The name of the chip must be on disk before that of its JSON.
+                sync_folder(folder)
         except OSError:
             if not described.exists():
                 chip.unlink(missing_ok=True)

@@ -4,16 +4,14 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
 from collections.abc import Collection
-from collections.abc import Iterable
 from enum import Enum
-from pathlib import Path
 from typing import NamedTuple
 
 from obbhbb_ros.spool.books import SpoolAccess
 from obbhbb_ros.spool.books import book
 from obbhbb_ros.spool.books import deliver
+from obbhbb_ros.spool.books import number
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import COLUMNS
 from obbhbb_ros.spool.chip_rows import ChipState
@@ -56,16 +54,8 @@ class SpoolReleaser(SpoolAccess):
     """
     Takes chips out of a spool; a spool has one releaser at a time, others get a `SpoolError`.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the spool; created if it is missing.
-    on_trouble : callable
-        Called with a text about everything that an operator should know and no error reports.
+    The parameters are those of `SpoolAccess`.
     """
-
-    def __init__(self, folder: Path, on_trouble: Callable[[str], object]) -> None:
-        super().__init__(folder, on_trouble, self._keep_others_out)
 
     def claim(
         self, count: int, room: float, max_cost: float, overhead: int, is_resumed: bool = False
@@ -100,9 +90,7 @@ class SpoolReleaser(SpoolAccess):
             )
             if claim.chips or claim.stall:
                 return claim
-            (waiting,) = rows.execute(
-                'SELECT sum(chips) FROM totals WHERE state <= ?', (max(states),)
-            ).fetchone()
+            waiting = number(rows, 'SELECT sum(chips) FROM totals WHERE state <= ?', max(states))
             return Claim([], Stall.ALL_TOO_LARGE if waiting else Stall.NOTHING_WAITS)
 
     def unclaim(self, ids: Collection[str]) -> None:
@@ -139,13 +127,11 @@ class SpoolReleaser(SpoolAccess):
             rows.execute('DELETE FROM chips WHERE id = ?', (chip_id,))
             book(rows, 'evicted.damaged', rows.rowcount)
 
-    def claimed_ids(self) -> list[str]:
-        """List the chips that are claimed."""
-        return self._ids(ChipState.CLAIMED)
-
-    def released_ids(self) -> list[str]:
-        """List the chips that are in the outbox and not delivered yet."""
-        return self._ids(ChipState.RELEASED)
+    def ids(self, state: int) -> set[str]:
+        """Return the ids of the chips in a state."""
+        with self._catalogue.transaction() as rows:
+            ids = rows.execute('SELECT id FROM chips WHERE state = ?', (state,))
+            return {chip_id for (chip_id,) in ids}
 
     def outbox(self) -> str:
         """Return the token of the outbox that chips are released into; empty before the first."""
@@ -158,15 +144,7 @@ class SpoolReleaser(SpoolAccess):
         with self._catalogue.transaction(write=True) as rows:
             rows.execute("REPLACE INTO notes VALUES ('outbox', ?)", (token,))
 
-    def _ids(self, state: int) -> list[str]:
-        """List the ids of the chips in a state."""
-        with self._catalogue.transaction() as rows:
-            return [
-                chip_id
-                for (chip_id,) in rows.execute('SELECT id FROM chips WHERE state = ?', (state,))
-            ]
-
-    def _keep_others_out(self, rows: sqlite3.Cursor) -> None:
+    def _on_open(self, rows: sqlite3.Cursor) -> None:
         """Refuse to be a second releaser."""
         if not self._catalogue.lock('releaser'):
             raise SpoolError(
@@ -176,12 +154,7 @@ class SpoolReleaser(SpoolAccess):
 
 
 def _next_chips(
-    rows: sqlite3.Cursor,
-    states: Iterable[int],
-    count: int,
-    room: float,
-    max_cost: float,
-    overhead: int,
+    rows: sqlite3.Cursor, states: list[int], count: int, room: float, max_cost: float, overhead: int
 ) -> Claim:
     """Read the next chips that have room, state by state; the first that has none ends it."""
     chips: list[tuple[StoredChip, bytes]] = []

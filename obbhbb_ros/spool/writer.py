@@ -18,14 +18,12 @@ from typing import NamedTuple
 from obbhbb_ros.spool.books import SpoolAccess
 from obbhbb_ros.spool.books import book
 from obbhbb_ros.spool.books import evict
+from obbhbb_ros.spool.books import number
 from obbhbb_ros.spool.catalogue import SpoolDamagedError
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import COLUMNS
 from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import NewChip
-
-# Seconds to wait for another process: a frame may be late by this much.
-_PATIENCE = 0.8
 
 
 class FrameTicket(NamedTuple):
@@ -45,11 +43,6 @@ class FrameTicket(NamedTuple):
     catalogue: str
     number: int
     chips: int
-
-    @property
-    def is_planned(self) -> bool:
-        """Whether a catalogue knows of it."""
-        return bool(self.catalogue)
 
 
 class SpoolWriter(SpoolAccess):
@@ -81,8 +74,11 @@ class SpoolWriter(SpoolAccess):
     1
     """
 
+    # A frame may be late by this much.
+    _patience = 0.8
+
     def __init__(self, folder: Path, on_trouble: Callable[[str], object]) -> None:
-        super().__init__(folder, on_trouble, self._take_number, patience=_PATIENCE)
+        super().__init__(folder, on_trouble)
         self._number = 0
         # What is still to be written down: frames to close, and what to add to the books.
         self._open_frames: list[FrameTicket] = []
@@ -137,7 +133,7 @@ class SpoolWriter(SpoolAccess):
             return True
         except SpoolError as error:
             self._on_trouble(str(error))
-            if ticket.is_planned:
+            if ticket.catalogue:
                 self._open_frames.append(ticket)
             else:
                 self._unbooked['planned'] += ticket.chips
@@ -180,9 +176,9 @@ class SpoolWriter(SpoolAccess):
             self._close_frame(rows, ticket)
             for reason, count in refused.items():
                 book(rows, f'refused.{reason}', count)
-            (last,) = rows.execute(
-                "SELECT ifnull(max(seq), 0) FROM sqlite_sequence WHERE name = 'chips'"
-            ).fetchone()
+            last = number(
+                rows, "SELECT ifnull(max(seq), 0) FROM sqlite_sequence WHERE name = 'chips'"
+            )
             rows.executemany(
                 f'INSERT INTO chips ({COLUMNS}, data) VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
                 [chip.row(last + 1 + i, self._catalogue.tag) for i, chip in enumerate(chips)],
@@ -206,23 +202,21 @@ class SpoolWriter(SpoolAccess):
             # Another writer has closed it, as a frame of a process that had ended.
             book(rows, 'refused.interrupted', -ticket.chips)
 
-    def _take_number(self, rows: sqlite3.Cursor) -> None:
+    def _on_open(self, rows: sqlite3.Cursor) -> None:
         """Take the first free number of a writer, and refuse the frames of writers that ended."""
-        (last,) = rows.execute('SELECT ifnull(max(writer), 0) FROM frames').fetchone()
-        numbers = []
-        for number in itertools.count():
-            if self._catalogue.lock(f'writer_{number}'):
-                _refuse_interrupted(rows, number)
-                numbers.append(number)
-            if numbers and number >= last:
-                self._number = numbers[0]
+        last = number(rows, 'SELECT ifnull(max(writer), 0) FROM frames')
+        free = []
+        for writer in itertools.count():
+            if self._catalogue.lock(f'writer_{writer}'):
+                _refuse_interrupted(rows, writer)
+                free.append(writer)
+            if free and writer >= last:
+                self._number = free[0]
                 return
 
 
 def _refuse_interrupted(rows: sqlite3.Cursor, writer: int) -> None:
     """Close the frames of a writer that ended before it stored them."""
-    (chips,) = rows.execute(
-        'SELECT ifnull(sum(chips), 0) FROM frames WHERE writer = ?', (writer,)
-    ).fetchone()
+    chips = number(rows, 'SELECT ifnull(sum(chips), 0) FROM frames WHERE writer = ?', writer)
     rows.execute('DELETE FROM frames WHERE writer = ?', (writer,))
     book(rows, 'refused.interrupted', chips)

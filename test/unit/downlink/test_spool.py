@@ -98,7 +98,7 @@ def test_a_chip_goes_from_waiting_to_released_to_delivered(spool, delivered) -> 
     assert (status.waiting, status.waiting_bytes) == (1, 300)
     assert status.in_outbox == (not delivered)
     if not delivered:
-        assert spool.releaser.released_ids() == ids
+        assert spool.releaser.ids(ChipState.RELEASED) == set(ids)
         assert list(spool.console.files([chips[0][0]])) == []
         spool.releaser.delivered(ids)
     assert counts(spool).counts == {
@@ -257,9 +257,9 @@ def test_a_chip_costs_no_more_than_is_thought(chips) -> None:
 def test_what_is_put_back_goes_again_in_its_place(spool) -> None:
     store(spool.writer, [0.9, 0.8, 0.7])
     ids = [chip.id for chip, _ in spool.releaser.claim(2, ALL, ALL, 0).chips]
-    assert len(spool.releaser.claimed_ids()) == 2
+    assert len(spool.releaser.ids(ChipState.CLAIMED)) == 2
     spool.releaser.unclaim(ids)
-    assert spool.releaser.claimed_ids() == []
+    assert spool.releaser.ids(ChipState.CLAIMED) == set()
     assert claim(spool) == [0.9, 0.8, 0.7]
 
 
@@ -388,7 +388,7 @@ def test_two_writers_and_a_releaser_share_one(tmp_path, spool, troubles) -> None
 
 def test_a_second_releaser_is_refused_until_the_first_is_gone(tmp_path, spool, troubles) -> None:
     store(spool.writer, [0.5])
-    assert spool.releaser.claimed_ids() == []
+    assert spool.releaser.ids(ChipState.CLAIMED) == set()
     second = SpoolReleaser(tmp_path, troubles.append)
     with pytest.raises(SpoolError, match='another process releases'):
         second.claim(1, ALL, ALL, 0)
@@ -689,7 +689,7 @@ def test_chips_of_a_lost_catalogue_are_none_of_the_new_one(tmp_path, troubles) -
     spool.releaser.released(ids, is_delivered=True)
     spool.releaser.unclaim(ids)
     spool.releaser.evict_damaged(ids[0])
-    assert spool.releaser.claimed_ids() == claimed
+    assert spool.releaser.ids(ChipState.CLAIMED) == set(claimed)
     assert counts(spool).counts == {'planned': 1}
     spool.close()
 
