@@ -113,7 +113,7 @@ class SpoolAccess:
     folder : Path
         Folder of the spool; created if it is missing.
     on_trouble : callable
-        Called with a text about everything that an operator should know and no error reports.
+        Called with a text about anything that an operator should know and that raises no error.
     """
 
     # Seconds to wait for another process.
@@ -177,7 +177,7 @@ def evict(rows: sqlite3.Cursor, max_bytes: float) -> bool:
     Returns False if there is still no room when all waiting chips are gone.
     """
     evicted, max_pages, is_left = 0, max_bytes / number(rows, 'PRAGMA page_size'), True
-    while number(rows, 'PRAGMA page_count') - number(rows, 'PRAGMA freelist_count') > max_pages:
+    while is_left and evicted < _MAX_EVICTED and _used_pages(rows) > max_pages:
         # Two queries, both answered by the one index.
         rows.execute(
             'DELETE FROM chips WHERE seq = (SELECT seq FROM chips WHERE state = ?1 AND value = '
@@ -186,8 +186,6 @@ def evict(rows: sqlite3.Cursor, max_bytes: float) -> bool:
         )
         is_left = bool(rows.rowcount)
         evicted += rows.rowcount
-        if not is_left or evicted == _MAX_EVICTED:
-            break
     book(rows, 'evicted.max_bytes', evicted)
     # Free pages are used again; only those far beyond a lowered limit go back to the disk.
     excess = number(rows, 'PRAGMA page_count') - int(_SLACK * max_pages)
@@ -195,3 +193,8 @@ def evict(rows: sqlite3.Cursor, max_bytes: float) -> bool:
         # One by one: Python takes one step of a statement that returns no rows.
         rows.execute('PRAGMA incremental_vacuum(1)')
     return is_left
+
+
+def _used_pages(rows: sqlite3.Cursor) -> int:
+    """Count the pages of a catalogue that are not free."""
+    return number(rows, 'PRAGMA page_count') - number(rows, 'PRAGMA freelist_count')

@@ -55,12 +55,12 @@ class Catalogue:
     version : int
         Version of the schema; a database of another version is treated as damaged.
     on_trouble : callable
-        Called with a text about everything that an operator should know and no error reports.
+        Called with a text about anything that an operator should know and that raises no error.
     on_open : callable
         Called with a cursor, in a transaction, whenever a database is opened.
     patience : float
-        Seconds to wait while another process holds the lock. After a wait in vain it is next to
-        none until a transaction succeeds, so that a stuck process does not delay every call.
+        Seconds to wait while another process holds the lock. After a wait in vain, calls hardly
+        wait until a transaction succeeds, so that a stuck process does not delay every one.
 
     Attributes
     ----------

@@ -72,7 +72,7 @@ class SpoolConsole(SpoolAccess):
     """Lists, revalues and deletes the chips of a spool while others write and release."""
 
     def select(self, chips: ChipFilter = ANY_CHIP, limit: int = -1) -> list[StoredChip]:
-        """List chips in the order of their release, by state; a negative limit is none."""
+        """List chips in the order of their release, by state; a negative limit means none."""
         where, values = chips.sql()
         with self._catalogue.transaction() as rows:
             return [

@@ -143,7 +143,7 @@ class OutboxFeeder:
 
     def steer(self, settings: ReleaseSettings, is_contact: bool) -> None:
         """
-        Set how chips are released, and whether they may be; counts from the next chip on.
+        Set how chips are released, and whether they may be; takes effect with the next chip.
 
         Any thread may call it at any time.
         """
@@ -180,7 +180,7 @@ class OutboxFeeder:
         self._spool.close()
 
     def _recover(self) -> None:
-        """Find out which claimed chips have got into the outbox."""
+        """Find out which claimed chips have reached the outbox."""
         self._check_outbox()
         contents = self._outbox.contents()
         claimed = self._spool.ids(ChipState.CLAIMED)
@@ -213,7 +213,7 @@ class OutboxFeeder:
         """Write down what became of the chips of a batch."""
         (put, left), removal = self._batch, self.settings.removal
         if put and removal and self._is_replaced():
-            # They are in another folder; what is in the outbox is looked up when it is back.
+            # They are in another folder; the outbox is read again when it is back.
             put.clear()
             raise SpoolError(f'{self._outbox.folder} was replaced; is it mounted?')
         self._spool.released(put, is_delivered=not removal)
@@ -231,7 +231,7 @@ class OutboxFeeder:
         settings, now = self.settings, self._clock()
         if now < self._look_at:
             return
-        # A chip that was to be removed is still to be, whatever the settings are now.
+        # Chips that wait for their removal still do after a change of settings.
         released = self._spool.ids(ChipState.RELEASED)
         if not (settings.removal or settings.max_bytes or released):
             return

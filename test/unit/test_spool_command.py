@@ -202,7 +202,7 @@ def test_a_sound_spool_is_in_order(folder, capsys) -> None:
         ("UPDATE books SET count = 11 WHERE name = 'planned'", '1 chips are unaccounted for'),
     ],
 )
-def test_what_is_wrong_is_told(folder, capsys, damage, words) -> None:
+def test_check_reports_what_is_wrong(folder, capsys, damage, words) -> None:
     with database(folder) as rows:
         rows.execute(damage)
     assert run(folder, 'check') == 1
@@ -313,7 +313,7 @@ def test_chips_cannot_be_exported_from_what_is_no_catalogue(tmp_path, capsys, co
     assert output.out == ''
 
 
-def test_a_damaged_catalogue_is_told_of(folder, capsys) -> None:
+def test_a_damaged_catalogue_is_reported(folder, capsys) -> None:
     (path,) = catalogue_files(folder)
     path.write_bytes(b'garbage' * 9999)
     assert run(folder) == 0

@@ -61,7 +61,7 @@ def test_the_json_gets_its_name_last_when_both_are_on_disk(tmp_path, monkeypatch
     ]
 
 
-def test_a_chip_that_is_there_is_replaced(tmp_path) -> None:
+def test_a_chip_in_the_outbox_is_replaced(tmp_path) -> None:
     outbox = Outbox(tmp_path)
     put(outbox, data=b'old')
     put(outbox, data=b'new')
@@ -87,7 +87,7 @@ def test_a_chip_that_fails_leaves_no_half(tmp_path, monkeypatch, failing) -> Non
     assert names(tmp_path) == ([] if failing < 4 else ['0/a.jpg', '0/a.json'])
 
 
-def test_what_is_there_is_listed(tmp_path) -> None:
+def test_the_contents_of_an_outbox_are_listed(tmp_path) -> None:
     outbox = Outbox(tmp_path)
     outbox.token()
     put(outbox, 'a', b'12345')
@@ -130,7 +130,7 @@ def test_a_chip_that_is_taken_while_it_is_looked_at_is_not_there(tmp_path, monke
     assert (contents.complete, contents.ids) == ({'b'}, {'b'})
 
 
-def test_an_outbox_that_is_not_there_is_not_an_empty_one(tmp_path) -> None:
+def test_a_missing_outbox_is_an_error_rather_than_empty(tmp_path) -> None:
     with pytest.raises(FileNotFoundError):
         Outbox(tmp_path / 'missing').contents()
 

@@ -96,7 +96,7 @@ def ground(tmp_path):
     made.close()
 
 
-def test_chips_are_released_with_what_is_known_of_them(ground) -> None:
+def test_chips_are_released_with_their_description(ground) -> None:
     ground.writer.store(ground.writer.plan(1), [new_chip(0.9, class_id='Schlepper')], {})
     (chip,) = ground.console.select()
     ground.steps()
@@ -191,7 +191,7 @@ def test_the_budget_is_held_in_every_second(
     assert set(ground.troubles) <= {'all chips that wait are larger than budget.burst'}
 
 
-def test_the_most_valuable_chip_is_waited_for(ground) -> None:
+def test_a_less_valuable_chip_never_overtakes_one_that_waits_for_the_budget(ground) -> None:
     ground.writer.store(ground.writer.plan(2), [new_chip(0.9, 3000), new_chip(0.8, 10)], {})
     ground.set(budget=BudgetSettings(bytes_per_second=1000.0, burst=5000.0))
     ground.steps(3)
@@ -329,7 +329,7 @@ def test_removal_is_noticed_without_contact_as_well(tmp_path, contact) -> None:
     ground.close()
 
 
-def test_chips_whose_removal_is_waited_for_go_on_being_waited_for(tmp_path) -> None:
+def test_chips_that_wait_for_their_removal_still_do_after_a_change_of_settings(tmp_path) -> None:
     ground = Ground(tmp_path, REMOVAL)
     store(ground.writer, [0.9])
     ground.steps()
@@ -413,7 +413,7 @@ def killed_after(ground, monkeypatch, puts):
 
 @pytest.mark.parametrize('settings', [ReleaseSettings(), REMOVAL], ids=['release', 'removal'])
 @pytest.mark.parametrize('taken', [False, True])
-def test_a_release_that_was_not_recorded_is_looked_up(
+def test_a_release_that_was_not_recorded_is_found_in_the_outbox(
     tmp_path, monkeypatch, settings, taken
 ) -> None:
     ground = Ground(tmp_path, settings)
@@ -426,7 +426,7 @@ def test_a_release_that_was_not_recorded_is_looked_up(
         ground.remove([0.9])
     order = noted_puts(monkeypatch)
     ground.steps(2)
-    # What the bus has taken goes once more.
+    # A chip that the bus has taken is released again.
     assert order == ([0.9, 0.7] if taken else [0.7])
     assert ground.out() == [0.9, 0.8, 0.7]
     assert ground.status().counts['released'] == 3
@@ -538,7 +538,7 @@ def test_unfinished_files_of_an_interrupted_release_are_removed(ground, monkeypa
 # Trouble
 
 
-def test_a_damaged_chip_is_set_aside_and_holds_up_nothing(ground) -> None:
+def test_a_damaged_chip_is_evicted_and_holds_up_nothing(ground) -> None:
     damages = [
         "data = x'00'",
         "facts = '{'",
@@ -584,7 +584,7 @@ def test_an_outbox_that_cannot_be_written_is_tried_again(ground, monkeypatch) ->
     assert ground.status().counts['released'] == 3
 
 
-def test_what_could_not_be_written_costs_nothing_of_the_budget(ground) -> None:
+def test_a_chip_that_cannot_be_written_costs_no_budget(ground) -> None:
     ground.set(budget=BudgetSettings(bytes_per_second=100.0, burst=1000.0))
     ground.steps(1, 100.0)
     store(ground.writer, [0.9, 0.8])
@@ -597,7 +597,7 @@ def test_what_could_not_be_written_costs_nothing_of_the_budget(ground) -> None:
     assert ground.out() == [0.9]
 
 
-def test_a_record_that_fails_is_made_up_for(ground, monkeypatch) -> None:
+def test_a_release_that_cannot_be_recorded_is_recorded_later(ground, monkeypatch) -> None:
     store(ground.writer, [0.9, 0.8])
     with monkeypatch.context() as patch:
 
@@ -624,7 +624,7 @@ def test_a_second_releaser_releases_nothing(ground) -> None:
     assert ground.out() == [0.9]
 
 
-def test_a_spool_deleted_under_it_is_no_end(ground) -> None:
+def test_a_feeder_survives_a_deleted_spool(ground) -> None:
     store(ground.writer, [0.9, 0.8])
     ground.set(budget=BudgetSettings(bytes_per_second=1.0))
     ground.steps()
@@ -674,8 +674,8 @@ def test_an_unmounted_outbox_delivers_nothing(tmp_path) -> None:
 
 
 @pytest.mark.parametrize('restarted', [False, True])
-def test_what_went_into_an_unmounted_outbox_goes_again(tmp_path, restarted) -> None:
-    """Between two looks at the outbox nobody knows yet that another folder is in its place."""
+def test_chips_that_went_into_an_unmounted_outbox_are_released_again(tmp_path, restarted) -> None:
+    """Between two looks at the outbox the feeder cannot see that another folder is in its place."""
     ground = Ground(tmp_path, REMOVAL)
     outbox, other = tmp_path / 'outbox', tmp_path / 'other'
     store(ground.writer, [0.9])
@@ -727,7 +727,7 @@ def test_an_outbox_without_chips_may_be_replaced(tmp_path) -> None:
     ground.close()
 
 
-def test_an_outbox_that_vanishes_between_two_looks_is_not_made_anew(ground) -> None:
+def test_an_outbox_that_disappears_between_two_looks_is_not_created_again(ground) -> None:
     store(ground.writer, [0.9])
     ground.steps(2, 0.01)
     shutil.rmtree(ground.folder / 'outbox')
@@ -785,7 +785,7 @@ def test_every_chip_comes_down_once(tmp_path_factory, actions) -> None:
     assert ground.troubles == []
 
 
-def test_a_chip_beyond_what_the_outbox_takes_holds_up_nothing(ground) -> None:
+def test_a_chip_larger_than_the_outbox_holds_up_nothing(ground) -> None:
     ground.set(max_bytes=2000.0)
     ground.writer.store(ground.writer.plan(2), [new_chip(0.9, 5000), new_chip(0.8, 10)], {})
     ground.steps(3, 2.0)
@@ -811,7 +811,7 @@ def test_a_lost_outbox_can_be_forgotten(ground) -> None:
     assert ground.status().counts['evicted.outbox_lost'] == 2
 
 
-def test_another_outbox_is_told_though_nothing_waits_in_the_first(ground) -> None:
+def test_another_outbox_is_reported_though_the_first_was_empty(ground) -> None:
     store(ground.writer, [0.9])
     ground.steps()
     (ground.folder / 'outbox').rename(ground.folder / 'aside')
@@ -823,7 +823,7 @@ def test_another_outbox_is_told_though_nothing_waits_in_the_first(ground) -> Non
     ]
 
 
-def test_the_budget_that_is_left_is_known_without_contact(ground) -> None:
+def test_the_available_budget_is_up_to_date_without_contact(ground) -> None:
     ground.set_contact(False)
     ground.set(budget=BudgetSettings(bytes_per_second=100.0))
     ground.clock.now += 0.5

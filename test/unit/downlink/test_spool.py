@@ -135,7 +135,7 @@ def test_the_books_are_kept_when_it_is_closed(spool, tmp_path) -> None:
 # Chips
 
 
-def test_what_is_known_of_a_chip_is_kept(spool, tmp_path) -> None:
+def test_a_spool_keeps_the_facts_of_a_chip(spool, tmp_path) -> None:
     given = new_chip(0.25, 123, (1764285402, 5), 'Frachter', obb=None, score=None)
     spool.writer.store(spool.writer.plan(1), [given], {})
     (chip,) = spool.console.select()
@@ -167,7 +167,7 @@ def test_a_value_must_be_finite(value) -> None:
         new_chip(value)
 
 
-def test_no_number_is_given_twice(spool, tmp_path, troubles) -> None:
+def test_no_number_is_used_twice(spool, tmp_path, troubles) -> None:
     seen = []
     for _ in range(3):
         store(spool.writer, [0.5, 0.6])
@@ -205,7 +205,7 @@ def cost_of(spool, value):
     return chip.bytes + len(chip.facts.encode()) + 128
 
 
-def test_a_chip_without_room_is_waited_for(spool) -> None:
+def test_a_chip_without_room_ends_the_claim(spool) -> None:
     spool.writer.store(
         spool.writer.plan(3), [new_chip(0.9, 300), new_chip(0.8, 5000), new_chip(0.7, 300)], {}
     )
@@ -243,7 +243,7 @@ CHIPS = st.builds(
 
 @given(st.lists(CHIPS, min_size=1, max_size=30))
 @settings(max_examples=10)
-def test_a_chip_costs_no_more_than_is_thought(chips) -> None:
+def test_a_chip_costs_no_more_than_its_estimate(chips) -> None:
     with tempfile.TemporaryDirectory() as folder:
         spool = SpoolUsers(Path(folder), print)
         spool.writer.store(spool.writer.plan(len(chips)), chips, {})
@@ -364,7 +364,7 @@ def test_nothing_is_evicted_without_a_limit(spool) -> None:
     assert counts(spool).waiting == 30
 
 
-def test_a_limit_in_which_no_chip_has_room_is_said(spool, troubles) -> None:
+def test_a_limit_without_room_for_any_chip_is_reported(spool, troubles) -> None:
     store(spool.writer, [0.5] * 10, 20_000, 0.1 * MB)
     assert troubles == []
     store(spool.writer, [0.5], 20_000, 20_000)
@@ -639,7 +639,7 @@ def test_the_newest_catalogue_is_used_however_many_there_were(tmp_path, troubles
 
 @pytest.mark.parametrize('suffix', ['-wal', '-shm'])
 def test_what_was_lost_with_a_log_is_lost_as_a_whole(tmp_path, troubles, suffix) -> None:
-    """A log that is deleted while nobody has it open takes its transactions with it."""
+    """A log that is deleted while no process has it open takes its transactions with it."""
     killed = subprocess.run(
         [sys.executable, '-c', WRITER + 'import os; os.kill(os.getpid(), 9)', str(tmp_path), '3'],
         stdin=subprocess.DEVNULL,
@@ -656,7 +656,7 @@ def test_what_was_lost_with_a_log_is_lost_as_a_whole(tmp_path, troubles, suffix)
 
 
 @pytest.mark.parametrize('what', ['folder', 'catalogue', 'log', 'all files'])
-def test_a_spool_deleted_under_an_open_one_begins_anew(tmp_path, troubles, what) -> None:
+def test_a_new_catalogue_replaces_one_that_was_deleted_while_open(tmp_path, troubles, what) -> None:
     folder = tmp_path / 'spool'
     spool = SpoolUsers(folder, troubles.append)
     store(spool.writer, [0.5, 0.6])
