@@ -18,9 +18,8 @@ def main(arguments: Sequence[str]) -> None:
     comparisons = paper_comparison()
     print(comparison_table(comparisons))
     for row, rule in PAPER_ROWS.items():
-        print(
-            f'{row} ({rule.method}): mean absolute deviation {mean_deviation(comparisons, row):.4f}'
-        )
+        deviation = mean_deviation(comparisons, row)
+        print(f'{row} ({rule.method}): mean absolute deviation {deviation:.4f}')
     for path in arguments:
         from obbhbb_ros.study import figures
 

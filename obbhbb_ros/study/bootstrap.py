@@ -42,8 +42,6 @@ def bootstrap_intervals(
     samples, seed : int
         Number of draws and their seed; without draws the intervals are NaN.
     """
-    if not samples:
-        return [Interval(np.nan, np.nan)] * len(values)
     _, index = np.unique(images, return_inverse=True)
     counts = np.bincount(index).astype(float)
     sums = np.stack([np.bincount(index, weights=column) for column in values], axis=1)
@@ -51,15 +49,13 @@ def bootstrap_intervals(
     means = [
         times @ sums / (times @ counts)[:, None] for times in draws(len(counts), samples, seed)
     ]
-    return _intervals(means)
+    return _intervals(means, len(values))
 
 
 def median_intervals(
     values: Sequence[FloatArray], images: NDArray[np.intp], samples: int = 1000, seed: int = 0
 ) -> list[Interval]:
     """Compute 95 % intervals of medians, drawing whole images; see `bootstrap_intervals`."""
-    if not samples:
-        return [Interval(np.nan, np.nan)] * len(values)
     _, index = np.unique(images, return_inverse=True)
     orders = [np.argsort(column, kind='stable') for column in values]
     medians = []
@@ -73,11 +69,13 @@ def median_intervals(
             upper = (2.0 * reached > total).argmax(axis=1)
             batch.append((column[order[lower]] + column[order[upper]]) / 2.0)
         medians.append(np.stack(batch, axis=1))
-    return _intervals(medians)
+    return _intervals(medians, len(values))
 
 
-def _intervals(samples: Sequence[FloatArray]) -> list[Interval]:
-    """Find the 95 % intervals of M statistics from batches of samples, each (batch, M)."""
+def _intervals(samples: Sequence[FloatArray], count: int) -> list[Interval]:
+    """Find the 95 % intervals of M = `count` statistics from batches of samples, (batch, M)."""
+    if not samples:
+        return [Interval(np.nan, np.nan)] * count
     ends = np.quantile(np.concatenate(samples), (_TAIL, 1.0 - _TAIL), axis=0)
     return [Interval(low, high) for low, high in ends.T.tolist()]
 

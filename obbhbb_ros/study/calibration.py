@@ -309,6 +309,5 @@ def enough(ships: Ships, plan: CalibrationPlan, min_ships: int = MIN_SHIPS) -> b
 
     It needs `min_ships` in two or more images, and enough of them for the objective.
     """
-    if len(ships) < min_ships or ships.image_count < 2:
-        return False
-    return plan.objective.is_enough(ships, plan.seed)
+    is_large = len(ships) >= min_ships and ships.image_count >= 2
+    return is_large and plan.objective.is_enough(ships, plan.seed)

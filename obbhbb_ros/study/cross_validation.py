@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from types import MappingProxyType
+from typing import Any
 from typing import TypeAlias
 
 import numpy as np
@@ -51,6 +52,8 @@ _BANDS = 3
 SMALL = 32.0**2
 # Candidates for a margin, pixels.
 _MARGINS = np.arange(-80, 81) * 0.05
+# Of a box, xyxy.
+_OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
 
 # Takes the ships to calibrate on and the ships to sort; returns the group of each of the latter,
 # negative for those in no group.
@@ -150,13 +153,13 @@ class CalibrationResult:
         return bootstrap_intervals([values], self.ships.image_of)[0]
 
     def gain(
-        self,
-        name: str,
-        base: str = CALIBRATED,
-        rows: NDArray[np.bool_] | slice = slice(None),
-        title: str = '',
+        self, name: str, base: str = CALIBRATED, rows: Any = slice(None), title: str = ''
     ) -> Gain:
-        """Compare one way to convert with another, ship by ship, in the metric of the objective."""
+        """
+        Compare one way to convert with another, ship by ship, in the metric of the objective.
+
+        `rows` selects ships by any NumPy index.
+        """
         objective = self.calibrator.plan.objective
         values, others = (self.held_out[way][objective.metric] for way in (name, base))
         difference = (objective.sign * (values - others))[rows]
@@ -219,13 +222,15 @@ def _with_held_out(
 ) -> CalibrationResult:
     """Add what is measured on held-out images, and the rules that earn their place there."""
     ships, calibrator = result.ships, result.calibrator
+    # The node has no q_bow and q_stern for a class.
+    for_class = replace(calibrator, ends=False)
     classes, notes = _large_classes(ships, calibrator.plan) if per_class else ([], [])
-    groupings: dict[str, Grouping] = {CALIBRATED: no_groups}
+    groupings: dict[str, tuple[Grouping, Calibrator]] = {CALIBRATED: (no_groups, calibrator)}
     if by_aspect:
-        groupings[BY_ASPECT] = aspect_groups
+        groupings[BY_ASPECT] = aspect_groups, calibrator
     if classes:
-        groupings[BY_CLASS] = partial(class_groups, classes)
-    held_out = dict(_held_out_metrics(ships, calibrator, groupings, folds))
+        groupings[BY_CLASS] = partial(class_groups, classes), for_class
+    held_out = dict(_held_out_metrics(result, groupings, folds))
     rules = _aspect_rules(ships, calibrator) if by_aspect else ()
     result = replace(result, held_out=held_out, rule_of_aspect=rules, notes=notes)
     gains = [result.gain(name) for name in groupings if name != CALIBRATED]
@@ -238,7 +243,7 @@ def _with_held_out(
         gain = result.gain(BY_CLASS, rows=rows, title=f'class {class_id}')
         gains.append(gain)
         if gain.earned:
-            rule_of_class[class_id] = _for_class(calibrator).fit(ships.take(rows))
+            rule_of_class[class_id] = for_class.fit(ships.take(rows))
     return replace(result, gains=gains, rule_of_class=rule_of_class)
 
 
@@ -252,14 +257,14 @@ def _folds_note(ships: Ships, plan: CalibrationPlan, folds: int) -> str | None:
 
 
 def _held_out_metrics(
-    ships: Ships, calibrator: Calibrator, groupings: Mapping[str, Grouping], folds: int
+    result: CalibrationResult, groupings: Mapping[str, tuple[Grouping, Calibrator]], folds: int
 ) -> Iterator[tuple[str, dict[str, FloatArray]]]:
     """Measure the fixed rules and, on held-out images, the calibrated ones."""
+    ships, calibrator = result.ships, result.calibrator
     settings = EvaluationSettings(keep=calibrator.plan.objective.keep, bootstrap=0)
     for name, rule in FIXED_RULES.items():
         yield name, ship_metrics(ships, convert_by_rule(ships.boxes, rule), 'hbb', settings)
-    for name, grouping in groupings.items():
-        of_group = _for_class(calibrator) if name == BY_CLASS else calibrator
+    for name, (grouping, of_group) in groupings.items():
         xyxy = held_out_boxes(ships, calibrator, folds, grouping, of_group)
         yield name, ship_metrics(ships, xyxy, 'hbb', settings)
 
@@ -290,17 +295,10 @@ def held_out_boxes(
     return xyxy
 
 
-def _group_rule(
-    ships: Ships, members: NDArray[np.bool_], calibrator: Calibrator
-) -> HullRule | None:
+def _group_rule(ships: Ships, rows: NDArray[np.bool_], calibrator: Calibrator) -> HullRule | None:
     """Calibrate on some of the ships, if they are enough."""
-    group = ships.take(members) if members.any() else None
+    group = ships.take(rows) if rows.any() else None
     return calibrator.fit(group) if group and enough(group, calibrator.plan) else None
-
-
-def _for_class(calibrator: Calibrator) -> Calibrator:
-    """Leave out q_bow and q_stern, which the node does not have for a class."""
-    return replace(calibrator, ends=False)
 
 
 def _aspect_rules(ships: Ships, calibrator: Calibrator) -> list[tuple[float, float, HullRule]]:
@@ -314,13 +312,8 @@ def _aspect_rules(ships: Ships, calibrator: Calibrator) -> list[tuple[float, flo
 
 def fit_margin(ships: Ships, xyxy: FloatArray) -> float:
     """Find the margin on each side, pixels, with which N boxes, (N, 4), have the best mean IoU."""
-    means = [metrics.iou(_grown(xyxy, margin), ships.reference).mean() for margin in _MARGINS]
+    means = [metrics.iou(xyxy + margin * _OUTWARD, ships.reference).mean() for margin in _MARGINS]
     return float(_MARGINS[np.argmax(means)])
-
-
-def _grown(xyxy: FloatArray, margin: float) -> FloatArray:
-    """Add a margin on each side of boxes, (N, 4)."""
-    return xyxy + np.array([-margin, -margin, margin, margin])
 
 
 def _margin_gain(result: CalibrationResult, folds: int) -> Gain | None:
@@ -335,7 +328,7 @@ def _margin_gain(result: CalibrationResult, folds: int) -> Gain | None:
         others, new = ships.take(small & ~rows), ships.take(small & rows)
         margin = fit_margin(others, convert_by_rule(others.boxes, rule))
         xyxy = convert_by_rule(new.boxes, rule)
-        grown = metrics.iou(_grown(xyxy, margin), new.reference)
+        grown = metrics.iou(xyxy + margin * _OUTWARD, new.reference)
         gain[small & rows] = grown - metrics.iou(xyxy, new.reference)
     small_ships = ships.take(small)
     margin = fit_margin(small_ships, convert_by_rule(small_ships.boxes, result.rule))

@@ -358,8 +358,7 @@ def nested(scores: Iterable[Score]) -> dict[str, dict[str, dict[str, Score]]]:
     """Arrange scores by protocol, stratum and method, in their order."""
     tree: dict[str, dict[str, dict[str, Score]]] = {}
     for score in scores:
-        by_stratum = tree.setdefault(score.protocol, {})
-        by_stratum.setdefault(score.stratum, {})[score.method] = score
+        tree.setdefault(score.protocol, {}).setdefault(score.stratum, {})[score.method] = score
     return tree
 
 

@@ -155,7 +155,7 @@ def surface_figure(surfaces: Mapping[str, Surface]) -> Figure:
     best_s = {title: surface.mean_iou.max(axis=2) for title, surface in surfaces.items()}
     limits = min(v.min() for v in best_s.values()), max(v.max() for v in best_s.values())
     for axes, (title, surface) in zip(panels, surfaces.items(), strict=True):
-        _draw_surface(axes, best_s[title], limits)
+        _draw_surface(axes, best_s[title], *limits)
         grid = surface.grid
         axes.set(xlabel='q', xticks=range(len(grid.q)), xticklabels=[f'{q:g}' for q in grid.q])
         axes.set(ylabel='f', yticks=range(len(grid.f)), yticklabels=[f'{f:g}' for f in grid.f])
@@ -164,14 +164,12 @@ def surface_figure(surfaces: Mapping[str, Surface]) -> Figure:
     return figure
 
 
-def _draw_surface(axes: Any, values: FloatArray, limits: tuple[float, float]) -> None:
-    """Draw one surface, (Q, F), with its numbers."""
+def _draw_surface(axes: Any, values: FloatArray, low: float, high: float) -> None:
+    """Draw one surface, (Q, F), with its numbers; the colours run from `low` to `high`."""
     axes.grid(visible=False)
-    axes.imshow(
-        values.T, origin='lower', aspect='auto', cmap='YlGnBu', vmin=limits[0], vmax=limits[1]
-    )
+    axes.imshow(values.T, origin='lower', aspect='auto', cmap='YlGnBu', vmin=low, vmax=high)
     for (i, j), value in np.ndenumerate(values):
-        color = 'white' if value > sum(limits) / 2.0 else 'black'
+        color = 'white' if value > (low + high) / 2.0 else 'black'
         axes.text(i, j, f'{value:.3f}', ha='center', va='center', color=color, fontsize=8)
     i, j = np.unravel_index(int(np.argmax(values)), values.shape)
     _add_box(axes, np.array([i - 0.5, j - 0.5, i + 0.5, j + 0.5]), _BEST, 2.5)
@@ -193,17 +191,15 @@ def error_figure(errors: Mapping[str, Mapping[str, FloatArray]]) -> Figure:
 
 
 @_styled()
-def sensitivity_figure(
-    fullness: FloatArray, curves: Mapping[str, Mapping[str, FloatArray]]
-) -> Figure:
+def sensitivity_figure(f: FloatArray, curves: Mapping[str, Mapping[str, FloatArray]]) -> Figure:
     """Draw mean IoU over K values of f, (K,) for each panel and line, and mark the best f."""
     figure, panels = _panels(len(curves), 3.8)
     for axes, (title, lines) in zip(panels, curves.items(), strict=True):
         for color, (name, values) in zip(_LINES, lines.items(), strict=False):
             best = int(np.argmax(values))
-            label = f'{name}: best f {fullness[best]:.2f}'
-            axes.plot(fullness, values, color=color, label=label)
-            axes.plot(fullness[best], values[best], 'o', color=color)
+            label = f'{name}: best f {f[best]:.2f}'
+            axes.plot(f, values, color=color, label=label)
+            axes.plot(f[best], values[best], 'o', color=color)
         axes.set(xlabel='f', ylabel='mean IoU', title=title)
         axes.legend(frameon=False, fontsize=8)
     return figure
@@ -309,7 +305,6 @@ def cost_figure(
         drawn = bars.bar(x, values, 0.25, color=color_of(name), label=name + lost)
         bars.bar_label(drawn, [f'{value:.0%}' for value in values], fontsize=8)
     bars.set_xticks(range(1 + len(ENCODERS)), ['pixels', *ENCODERS])
-    bars.set(ylabel='relative to the outer boxes', ylim=(0.0, 1.25))
-    bars.set_title('cost of the chips')
+    bars.set(title='cost of the chips', ylabel='relative to the outer boxes', ylim=(0.0, 1.25))
     bars.legend(loc='upper center', ncols=1, frameon=False)
     return figure

@@ -258,20 +258,17 @@ def _is_stamp(value: Any) -> bool:
     )
 
 
-def _is_roi(value: Any) -> bool:
-    return _is_list(4, _is_whole)(value) and min(value[2:]) > 0
-
-
-def _is_size(value: Any) -> bool:
-    return _is_list(2, _is_whole)(value) and min(value) > 0
+def _ends_in_size(count: int) -> Callable[[Any], bool]:
+    """Return a check for `count` whole numbers, the last two a width and a height."""
+    return lambda value: _is_list(count, _is_whole)(value) and min(value[-2:]) > 0
 
 
 _KEYS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     'id': ('a text', _is_text),
     'stamp': ('sec and nanosec', _is_stamp),
     'frame_id': ('a text', _is_text),
-    'roi': ('x, y, width and height in whole pixels', _is_roi),
-    'image_size': ('width and height in whole pixels', _is_size),
+    'roi': ('x, y, width and height in whole pixels', _ends_in_size(4)),
+    'image_size': ('width and height in whole pixels', _ends_in_size(2)),
     'class_id': ('a text', _is_text),
     'score': ('a number or null', _or_null(_is_number)),
     'value': ('a number', _is_number),
@@ -308,10 +305,8 @@ def _card(
 
 def _corners(obb: list[float] | None) -> list[list[float]]:
     """Compute the corners of an oriented box; none if it has no area."""
-    if obb is None:
-        return []
-    boxes = OrientedBoxes.from_xywhr([obb])
-    return boxes.corners[0].tolist() if boxes.valid[0] else []
+    boxes = OrientedBoxes.from_xywhr([] if obb is None else [obb])
+    return boxes.corners[boxes.valid].reshape(-1, 2).tolist()
 
 
 def _picture(chip: GalleryChip, link: str, problems: list[str]) -> str | None:

@@ -88,8 +88,7 @@ class Bench:
 
     def overlap(self, extents: FloatArray) -> Overlap:
         """Compare the boxes of half-extents, (2, N), with the references."""
-        shared = self._shared(extents)
-        return Overlap(shared, 4.0 * extents[0] * extents[1], self._reference_area)
+        return Overlap(self._shared(extents), 4.0 * extents[0] * extents[1], self._reference_area)
 
     def relative_area(self, extents: FloatArray) -> FloatArray:
         """Compute areas relative to those of the outer boxes, shape (N,)."""

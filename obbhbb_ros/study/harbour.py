@@ -112,7 +112,7 @@ def passing(labels: ImageLabels, count: int) -> Iterator[ImageLabels]:
             labels,
             image=f'{labels.image}_{i}',
             corners=labels.corners + shift,
-            reference=None if labels.reference is None else labels.reference + np.tile(shift, 2),
+            reference=labels.reference + np.tile(shift, 2),
             hulls=tuple(None if hull is None else hull + shift for hull in labels.hulls),
         )
 

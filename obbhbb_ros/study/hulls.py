@@ -7,8 +7,8 @@ the polygons, so they are rebuilt here. Chosen to fit that table: a hull touches
 at bow, stern and amidships at every fullness, and the fullness narrows its ends (narrowing the
 whole hull instead misses the rows below 1.00 by three times as much); aspect ratios run from 3 to
 7, angles evenly over a quarter turn. Fitted: one number per family, the width of its ends, so that
-it gives the row "N" at fullness 1.00 (`obbhbb_ros.study.paper_table.fit_family`). Everything else
-is a prediction; `paper_comparison` compares it with the paper.
+it gives the row "N" at fullness 1.00. Everything else is a prediction; `paper_comparison` compares
+it with the paper.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Family:
         return np.concatenate((side.T, side.T[::-1] * [1.0, -1.0]))
 
 
-# The ends are the results of `fit_family`; a test compares them.
+# A test fits the ends and compares them.
 FAMILIES: MappingProxyType[str, Family] = MappingProxyType(
     {
         family.name: family

@@ -70,10 +70,8 @@ def match_references(
         ends = np.cumsum([len(matched[index]) for index in rows])[:-1]
         for index, part in zip(rows, np.split(reference, ends), strict=True):
             matched[index] = part
-    return tuple(
-        replace(image, reference=reference)
-        for image, reference in zip(images, matched, strict=True)
-    )
+    pairs = zip(images, matched, strict=True)
+    return tuple(replace(image, reference=reference) for image, reference in pairs)
 
 
 def match_boxes(

@@ -5,9 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -89,22 +87,3 @@ def paper_comparison() -> list[Comparison]:
 def mean_deviation(comparisons: Sequence[Comparison], row: str) -> float:
     """Average the absolute deviations of the predicted numbers of a row, N, M or S."""
     return float(np.mean([abs(c.deviation) for c in comparisons if c.row == row and not c.fitted]))
-
-
-def fit_family(family: hulls.Family) -> hulls.Family:
-    """
-    Fit a family to the paper's row "N" at fullness 1.00.
-
-    Its ends below 1 are replaced by one number, found by bisection to 1e-5.
-    """
-    target = PAPER_TABLE[family.name, 'N'][hulls.FULLNESS.index(1.0)]
-    ends = [name for name in ('bow', 'stern') if getattr(family, name) < 1.0]
-    low, high = 0.0, 1.0
-    while high - low > 1e-5:
-        end = (low + high) / 2.0
-        changes: dict[str, Any] = dict.fromkeys(ends, end)
-        fitted = replace(family, **changes)
-        ships = hulls.synthetic_ships([fitted], [1.0], seed=None)
-        (error,) = _relative_errors(ships, PAPER_ROWS['N']).values()
-        low, high = (end, high) if error > target else (low, end)
-    return fitted

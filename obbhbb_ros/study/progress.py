@@ -6,6 +6,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import TypeVar
 
 Item = TypeVar('Item')
@@ -16,11 +17,9 @@ def track(
 ) -> Iterator[Item]:
     """Yield items and show on stderr how many are done; `label` names the work."""
     if sys.stderr.isatty():
-        try:
+        with suppress(ModuleNotFoundError):
             from tqdm import tqdm
-        except ModuleNotFoundError:
-            pass
-        else:
+
             items = tqdm(items, desc=label, total=total, unit=f' {unit}', leave=False)
     yield from items
 

@@ -80,6 +80,7 @@ def report_page(
         RULES=DEFAULT_RULES,
         TUNABLE_METHODS=TUNABLE_METHODS,
         color_of=figures.color_of,
+        svg=figures.svg,
         known_metrics=tables.known_metrics,
         tuned_text=tables.tuned_text,
         conclusion=conclusion(referenced, result),
@@ -88,10 +89,7 @@ def report_page(
         settings=settings,
         scores=evaluation.nested(scores),
         notes=tables.offset_notes(offsets),
-        angles=figures.svg(
-            figures.angle_figure(scores),
-            'Mean IoU of every method in three bands of tilt, by protocol',
-        ),
+        angles=figures.angle_figure(scores),
         calibration=_calibration(referenced, result) if referenced else None,
         protocol=protocols[-1],
         cards=list(_cards(evaluation.ships_for(ships, protocols[-1]), protocols[-1], gallery)),
@@ -162,29 +160,18 @@ def _synthetic_study(seed: int) -> dict[str, Any]:
         'comparison': comparison,
         'rows': list(product(hulls.FULLNESS, rows)),
         'deviations': {row: paper_table.mean_deviation(comparison, row) for row in rows},
-        'hulls': figures.svg(
-            figures.hull_panel(),
-            'The synthetic hulls by family and fullness, with their oriented and reference boxes',
-        ),
-        'errors': figures.svg(
-            figures.error_figure(_best_errors(ships)),
-            "Smallest mean relative error on the paper's grid by method, family and fullness",
-        ),
+        'hulls': figures.hull_panel(),
+        'errors': figures.error_figure(_best_errors(ships)),
         'synthetic': _parameter_figures(ships),
     }
 
 
-def _parameter_figures(ships: Ships) -> dict[str, str]:
+def _parameter_figures(ships: Ships) -> dict[str, Any]:
     """Draw how mean IoU depends on the parameters."""
+    surfaces = {name: _paper_grid(ships, name) for name in TUNABLE_METHODS}
     return {
-        'surfaces': figures.svg(
-            figures.surface_figure({name: _paper_grid(ships, name) for name in TUNABLE_METHODS}),
-            "Mean IoU over q and f on the paper's grid, by method; a frame marks the best",
-        ),
-        'sensitivity': figures.svg(
-            figures.sensitivity_figure(SENSITIVITY_F, _sensitivity(ships)),
-            'Mean IoU over f for wide, medium and narrow hulls, by method; a dot marks the best f',
-        ),
+        'surfaces': figures.surface_figure(surfaces),
+        'sensitivity': figures.sensitivity_figure(SENSITIVITY_F, _sensitivity(ships)),
     }
 
 

@@ -59,10 +59,8 @@ def yaml_text(
 
 def _values(rule: HullRule, indent: str) -> list[str]:
     """Format the parameters of a rule; q_bow and q_stern only if it has them."""
-    numbers = {name: getattr(rule, name) for name in ('q', 'f', 's', 'q_bow', 'q_stern')}
-    lines = [
-        f'{indent}{name}: {yaml_value(float(number))}'
-        for name, number in numbers.items()
-        if number is not None
-    ]
-    return [f'{indent}method: {json.dumps(rule.method)}', *lines]
+    lines = [f'{indent}method: {json.dumps(rule.method)}']
+    for name in ('q', 'f', 's', 'q_bow', 'q_stern'):
+        if (number := getattr(rule, name)) is not None:
+            lines.append(f'{indent}{name}: {yaml_value(float(number))}')
+    return lines

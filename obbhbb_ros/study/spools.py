@@ -48,12 +48,11 @@ def status_text(status: Status) -> str:
         ]
         return f'{status.total(kind)}' + (f' ({", ".join(counts)})' if counts else '')
 
-    planned, delivered = (status.counts.get(name, 0) for name in ('planned', 'delivered'))
     lines = [
-        f'planned    {planned}',
+        f'planned    {status.counts.get("planned", 0)}',
         f'waiting    {status.waiting} ({status.waiting_bytes / 1e6:.1f} MB)',
         f'in outbox  {status.in_outbox}',
-        f'delivered  {delivered}',
+        f'delivered  {status.counts.get("delivered", 0)}',
         f'evicted    {reasons("evicted")}',
         f'refused    {reasons("refused")}',
     ]

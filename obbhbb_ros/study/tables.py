@@ -38,10 +38,8 @@ def score_tables(
     parts = []
     for protocol, by_stratum in evaluation.nested(scores).items():
         overall = list(by_stratum[evaluation.ALL].values())
-        title = (
-            f'protocol {protocol}: {metrics.PROTOCOLS[protocol]}, '
-            f'{overall[0].ships} ships in {overall[0].images} images'
-        )
+        count = f'{overall[0].ships} ships in {overall[0].images} images'
+        title = f'protocol {protocol}: {metrics.PROTOCOLS[protocol]}, {count}'
         parts.append(f'{title}\n{_score_table(overall, settings)}')
         rows = []
         for stratum, by_method in by_stratum.items():
@@ -127,29 +125,27 @@ def offset_notes(offsets: Sequence[evaluation.Offset]) -> list[str]:
 def calibration_text(result: CalibrationResult) -> str:
     """Describe the result of a calibration: rule, held-out metrics, gains, guarantee."""
     plan = result.calibrator.plan
-    parts = [
-        f'{plan.method} for {plan.objective.summary}, '
-        f'{len(result.ships)} ships in {result.ships.image_count} images: '
-        f'{rule_text(result.rule)}'
-    ]
+    count = f'{len(result.ships)} ships in {result.ships.image_count} images'
+    parts = [f'{plan.method} for {plan.objective.summary}, {count}: {rule_text(result.rule)}']
     if result.held_out:
         parts.append(_held_out_table(result))
     if lines := _decision_lines(result):
         parts.append('\n'.join(lines))
     if result.rule_of_aspect:
-        bands = [
-            (f'{low:.2f} to {high:.2f}', rule_text(rule))
-            for low, high, rule in result.rule_of_aspect
-        ]
-        parts.append(text_table(('L/W', 'rule'), bands))
+        bands = {f'{low:.2f} to {high:.2f}': rule for low, high, rule in result.rule_of_aspect}
+        parts.append(_rule_table('L/W', bands))
     if result.gains:
         parts.append('\n'.join(map(str, result.gains)))
     if result.rule_of_class:
-        classes = [(name, rule_text(rule)) for name, rule in result.rule_of_class.items()]
-        parts.append(text_table(('class', 'rule'), classes))
+        parts.append(_rule_table('class', result.rule_of_class))
     if isinstance(plan.objective, Coverage):
         parts.append(_guarantee(result, plan.objective))
     return '\n\n'.join([*parts, *result.notes])
+
+
+def _rule_table(group: str, rules: Mapping[str, HullRule]) -> str:
+    """Tabulate the rules of groups."""
+    return text_table((group, 'rule'), [(name, rule_text(rule)) for name, rule in rules.items()])
 
 
 def _held_out_table(result: CalibrationResult) -> str:
@@ -259,10 +255,7 @@ def scene_table(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> str:
         removed = 1.0 - background[name] / background['outer']
         kept = inside[name] / whole
         overlap = np.mean(metrics.iou(xyxy, labels.reference))
-        rows.append(
-            (name, f'{width:.1f} x {height:.1f}', f'{removed:.1%}', f'{kept:.1%}', f'{overlap:.3f}')
-        )
-    return text_table(
-        ('method', 'mean size [px]', 'background removed', 'hull kept', 'IoU with hull bounds'),
-        rows,
-    )
+        size = f'{width:.1f} x {height:.1f}'
+        rows.append((name, size, f'{removed:.1%}', f'{kept:.1%}', f'{overlap:.3f}'))
+    head = ('method', 'mean size [px]', 'background removed', 'hull kept', 'IoU with hull bounds')
+    return text_table(head, rows)
