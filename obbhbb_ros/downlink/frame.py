@@ -53,8 +53,8 @@ class FrameCut(Generic[Record]):
     """
     The regions of one frame, and what becomes of each of them.
 
-    For link and spool alike, each region has either success or exactly one reason why it was
-    dropped. Until `run` has dealt with it, and after an exception, that is `Dropped.FAILED`.
+    For link and spool alike, a region has either success or exactly one reason why it was dropped:
+    `Dropped.FAILED` where an exception kept `run` from dealing with it.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class FrameCut(Generic[Record]):
 
     def __init__(self, regions: Sequence[Region]) -> None:
         self._regions = regions
-        # One assignment decides the fate of a chip, so that an interrupt finds it in one place.
+        # One assignment decides the fate of a chip: an interrupt cannot come in between.
         self._sending: list[Dropped | None] = [Dropped.FAILED] * len(regions)
         self._recording: list[Dropped | Record] = [Dropped.FAILED] * len(regions)
 

@@ -79,6 +79,10 @@ class StampCache(Generic[Item]):
         """Return whether there is an item of this stamp."""
         return stamp in self._entries
 
+    def __getitem__(self, stamp: Stamp) -> Item:
+        """Return the item of a stamp; KeyError if there is none."""
+        return self._entries[stamp][1]
+
     def __iter__(self) -> Iterator[Item]:
         """Iterate over the items, the oldest first."""
         return (item for _, item in self._entries.values())
@@ -86,10 +90,6 @@ class StampCache(Generic[Item]):
     def items(self) -> list[tuple[Stamp, Item]]:
         """List stamps and items, the oldest first."""
         return [(stamp, item) for stamp, (_, item) in self._entries.items()]
-
-    def get(self, stamp: Stamp) -> Item | None:
-        """Return the item of a stamp."""
-        return self._entries.get(stamp, (0.0, None))[1]
 
     def put(self, stamp: Stamp, item: Item, now: float, max_count: int) -> None:
         """Add an item as the newest; drop one of the same stamp, and the oldest over the count."""
@@ -195,7 +195,7 @@ class JoinerSide(Generic[Item, Partner]):
         on_jump_back: Callable[[Stamp, Stamp], None],
     ) -> None:
         self.waiting = StampCache[Item](on_dropped)
-        # Stamps whose item has had its partner: a duplicate may still arrive.
+        # Stamps of items that were paired: a duplicate may still arrive.
         self._joined = StampCache[None](lambda reason, _: None)
         self._latest = ZERO_STAMP
         self._on_dropped, self._on_jump_back = on_dropped, on_jump_back

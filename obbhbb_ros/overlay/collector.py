@@ -171,11 +171,9 @@ class LayerCollector(Generic[ImageT, LayerT]):
 
     def _parts(self, stamp: Stamp, now: float) -> ImageParts[ImageT, LayerT]:
         """Return the parts of a stamp."""
-        parts = self._waiting.get(stamp)
-        if parts is None:
-            parts = ImageParts(now)
-            self._waiting.put(stamp, parts, now, _MAX_STAMPS)
-        return parts
+        if stamp not in self._waiting:
+            self._waiting.put(stamp, ImageParts(now), now, _MAX_STAMPS)
+        return self._waiting[stamp]
 
     def _make_room(self, max_images: int) -> None:
         """Drop the oldest images where there are too many."""

@@ -213,9 +213,7 @@ def draw(image: WireImage, layers: Sequence[Layer], labels: Labels | None, style
     canvas = ImageDraw.Draw(picture)
     for layer in layers:
         _outline(canvas, layer.corners * factor, layer.color, style.line_width_for(picture.size))
-    left_out = 0
-    if labels is not None and style.labels:
-        left_out = _write(canvas, labels, factor, style)
+    left_out = _write(canvas, labels, factor, style) if labels is not None and style.labels else 0
     file = io.BytesIO()
     try:
         # Thin lines are mostly colour, which JPEG otherwise halves.
