@@ -163,11 +163,13 @@ def book(rows: sqlite3.Cursor, name: str, count: int) -> None:
 
 def deliver(rows: sqlite3.Cursor, ids: Iterable[str]) -> None:
     """Count chips as delivered and delete them."""
+    delivered = 0
     for chip_id in ids:
         rows.execute('DELETE FROM chips WHERE id = ? RETURNING bytes', (chip_id,))
         for (size,) in rows.fetchall():
-            book(rows, 'delivered', 1)
+            delivered += 1
             book(rows, 'delivered_bytes', size)
+    book(rows, 'delivered', delivered)
 
 
 def evict(rows: sqlite3.Cursor, max_bytes: float) -> bool:
