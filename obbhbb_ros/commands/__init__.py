@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 import shlex
+from argparse import Action
 from argparse import ArgumentParser
 from argparse import Namespace
 from collections.abc import Callable
 from collections.abc import Sequence
+from typing import Any
 from typing import NamedTuple
 
+import obbhbb_ros
 from obbhbb_ros.commands import bag_command
 from obbhbb_ros.commands import chip_commands
 from obbhbb_ros.commands import demo_command
@@ -48,11 +51,21 @@ COMMANDS = {
 }
 
 
+class VersionAction(Action):
+    """Prints the version, which takes time to look up, and ends the command."""
+
+    def __call__(self, parser: ArgumentParser, *_: Any) -> None:
+        """Print the version."""
+        print(f'{parser.prog} {obbhbb_ros.__version__}')
+        parser.exit()
+
+
 def command_line() -> ArgumentParser:
     """Describe the commands and their options."""
     parser = ArgumentParser(
         prog='obbhbb', description='Convert oriented boxes to axis-aligned ones, offline.'
     )
+    parser.add_argument('--version', action=VersionAction, nargs=0, help='print the version')
     parsers = parser.add_subparsers(required=True, metavar='COMMAND', dest='command')
     for name, command in COMMANDS.items():
         command.add_options(parsers.add_parser(name, help=command.run.__doc__))
@@ -60,7 +73,14 @@ def command_line() -> ArgumentParser:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Parse a command line, without the program's name, and run it; return the exit code."""
+    """
+    Parse a command line, without the program's name, and run it; return the exit code.
+
+    Without a command, list all of them.
+    """
+    if not arguments:
+        command_line().print_help()
+        return 2
     options = Namespace(invocation=shlex.join(['obbhbb', *arguments]))
     command_line().parse_args(arguments, options)
     return COMMANDS[options.command].run(options) or 0

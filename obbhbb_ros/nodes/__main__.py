@@ -11,6 +11,8 @@ import os.path
 import sys
 from importlib import import_module
 
+from obbhbb_ros.nodes.failure import REASONS
+from obbhbb_ros.nodes.failure import cannot_start
 from obbhbb_ros.nodes.stop import Stop
 
 NODES = {
@@ -25,11 +27,27 @@ NODES = {
 
 def run_node(name: str) -> int:
     """Run the node of an executable, and return the exit code."""
-    stop = Stop()
-    process = import_module('obbhbb_ros.nodes.process')
-    module = import_module(f'obbhbb_ros.nodes.{name}')
+    try:
+        stop = Stop()
+        if arguments := not_for_ros(sys.argv[1:]):
+            import_module('obbhbb_ros.nodes.usage').answer(name, arguments)
+        process = import_module('obbhbb_ros.nodes.process')
+        module = import_module(f'obbhbb_ros.nodes.{name}')
+    except REASONS as error:
+        return cannot_start(error)
     code: int = process.run(getattr(module, NODES[name]), stop)
     return code
+
+
+def not_for_ros(arguments: list[str]) -> list[str]:
+    """List the arguments outside of `--ros-args ... --`."""
+    outside, is_for_ros = [], False
+    for argument in arguments:
+        if argument == '--ros-args' or (is_for_ros and argument == '--'):
+            is_for_ros = argument == '--ros-args'
+        elif not is_for_ros:
+            outside.append(argument)
+    return outside
 
 
 def main() -> int:

@@ -11,6 +11,7 @@ from std_msgs.msg import Bool
 
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import reliable
+from obbhbb_ros.nodes.reporter import plain_yaml
 from obbhbb_ros.nodes.spool_report import facts_of
 from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.settings.downlink import DOWNLINK
@@ -103,7 +104,7 @@ class Downlink(ManagedNode[DownlinkSettings]):
             self._warn_of_spool(text)
         feeder = self._worker.feeder
         facts = {
-            'contact': str(feeder.is_contact).lower(),
+            'contact': plain_yaml(feeder.is_contact),
             'stalled_by': feeder.stalled_by,
             'budget_available': f'{feeder.available:.0f}',
         }

@@ -27,6 +27,7 @@ from obbhbb_ros.nodes.node_topics import best_effort
 from obbhbb_ros.nodes.node_topics import message_type
 from obbhbb_ros.nodes.node_topics import reliable
 from obbhbb_ros.nodes.parts import steady_timer
+from obbhbb_ros.nodes.reporter import plain_yaml
 from obbhbb_ros.overlay.collector import LayerCollector
 from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.overlay.drawing import OverlayError
@@ -133,7 +134,7 @@ class Overlay(ManagedNode[OverlaySettings]):
             self.monitor.expect_input()
         return {
             'frames_waiting': str(len(self._collector)),
-            'watched': str(self._image_in.is_open).lower(),
+            'watched': plain_yaml(self._image_in.is_open),
         }
 
     def _follow_viewers(self) -> None:

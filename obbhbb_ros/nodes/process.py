@@ -18,9 +18,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from obbhbb_ros.errors import StartError
 from obbhbb_ros.nodes.executor import ExpressExecutor
 from obbhbb_ros.nodes.executor import UnknownRclpyError
+from obbhbb_ros.nodes.failure import REASONS
+from obbhbb_ros.nodes.failure import cannot_start
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.stop import RUNNING
 from obbhbb_ros.nodes.stop import STARTING
@@ -54,7 +55,7 @@ def run(
     Parameters
     ----------
     make_node : callable
-        Makes the node; may raise `StartError`, ValueError, OSError or ParameterException.
+        Makes the node; may raise ParameterException, or what `failure.REASONS` lists.
     stop : Stop
         Receives SIGINT and SIGTERM.
     make_executor : callable, optional
@@ -69,18 +70,16 @@ def run(
     never_wait_to_log()
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
+    except REASONS as error:
         # The arguments after --ros-args cannot be used.
-        print(f'cannot start: {error}', file=sys.stderr)
-        return 1
+        return cannot_start(error)
     try:
         node = make_node()
         supervision = Supervision([node] if isinstance(node, ManagedNode) else [])
         supervision.start_nodes()
-    except (ParameterException, StartError, ValueError, OSError) as error:
+    except (ParameterException, *REASONS) as error:
         rclpy.try_shutdown()
-        print(f'cannot start: {error}', file=sys.stderr)
-        return 1
+        return cannot_start(error)
     stop.on_leaving = supervision.end
     stop.patience = RUNNING
     try:

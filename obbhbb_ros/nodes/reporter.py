@@ -19,6 +19,8 @@ from obbhbb_ros.nodes.parts import Part
 from obbhbb_ros.nodes.parts import steady_timer
 from obbhbb_ros.settings.common import HARDWARE_ID
 from obbhbb_ros.settings.common import INPUT_TIMEOUT
+from obbhbb_ros.settings.parameter_file import Value
+from obbhbb_ros.settings.parameter_file import yaml_value
 
 PERIOD = 1.0
 """Time between two diagnostics messages, seconds."""
@@ -28,6 +30,11 @@ _WARNING_PERIOD = 5.0
 _STALE_AFTER = 3.0
 # So many, because a subscriber has to discover a restarted node before it hears of the restart.
 _REMINDERS = 10
+
+
+def plain_yaml(value: Value) -> str:
+    """Write a value for the diagnostics: as in a parameter file, a text without quotes."""
+    return value if isinstance(value, str) else yaml_value(value)
 
 
 class Reporter(Part):
@@ -96,7 +103,7 @@ class Reporter(Part):
         values.update({key: str(count) for key, count in sorted(self.monitor.counts.items())})
         for mapping in (*facts, self.monitor.rate_values(), self.monitor.latency_values()):
             values.update(mapping)
-        values.update({f'parameter.{key}': str(value) for key, value in parameters.items()})
+        values.update({f'parameter.{key}': plain_yaml(value) for key, value in parameters.items()})
         level, message = self._summary(state, parameters.get(INPUT_TIMEOUT.name, 0.0))
         name = self._node.get_fully_qualified_name()
         status = DiagnosticStatus(

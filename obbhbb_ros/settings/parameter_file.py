@@ -63,9 +63,11 @@ def yaml_value(value: Any) -> str:
 
     Examples
     --------
-    >>> [yaml_value(value) for value in (3.0, float('inf'), True, 'boxes')]
-    ['3.0', '.inf', 'true', '"boxes"']
+    >>> [yaml_value(value) for value in (3.0, float('inf'), True, 'boxes', [0.5])]
+    ['3.0', '.inf', 'true', '"boxes"', '[0.5]']
     """
+    if isinstance(value, list):
+        return f'[{", ".join(map(yaml_value, value))}]'
     if isinstance(value, float) and not math.isfinite(value):
         return '.nan' if math.isnan(value) else f'{"-" if value < 0 else ""}.inf'
     return json.dumps(value)

@@ -94,13 +94,14 @@ def test_all_parameters_in_force_are_reported(node: Converter) -> None:
     node.set({'q': float('inf'), 'method': 'shape_aware', 'class_ids': ['tug']})
     node.set({'classes.tug.f': 0.5})
     values = values_of(node.next_report())
-    assert values['parameter.q'] == 'inf'
+    assert values['parameter.q'] == '.inf'
     assert values['parameter.method'] == 'shape_aware'
-    assert values['parameter.class_ids'] == "['tug']"
+    assert values['parameter.class_ids'] == '["tug"]'
     assert values['parameter.classes.tug.f'] == '0.5'
+    assert values['parameter.clip_boxes'] == 'false'
     assert {f'parameter.{spec.name}' for spec in OBB_TO_HBB.rows} <= set(values)
     assert not node.set_atomically({'q': 4.0, 's': 9.0}).successful
-    assert values_of(node.next_report())['parameter.q'] == 'inf'
+    assert values_of(node.next_report())['parameter.q'] == '.inf'
 
 
 def test_trouble_is_a_warning_in_the_next_report_alone(node: Converter) -> None:

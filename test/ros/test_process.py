@@ -21,7 +21,9 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
+from documentation import NODE_TABLES
 from harness import ROSOUT
+from harness import TIMEOUT
 from harness import Converter
 from harness import NodeProcess
 from harness import Peer
@@ -36,6 +38,7 @@ from ships import fleet
 from ships import rows_of
 from vision_msgs.msg import Detection2DArray
 
+from obbhbb_ros import __version__
 from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
@@ -299,6 +302,15 @@ def test_bad_parameters_end_the_start_with_one_line(failures: list[NodeProcess],
     assert all(text in line for text in BAD_PARAMETERS[case][1])
 
 
+def assert_refused(process: NodeProcess, *texts: str) -> None:
+    assert process.wait() == 1
+    # A library of ROS may log something before it.
+    line = process.log.splitlines()[-1]
+    assert line.startswith('cannot start: ')
+    assert all(text in line for text in texts)
+    assert 'Traceback' not in process.log
+
+
 @pytest.mark.parametrize(
     ('arguments', 'text'),
     [
@@ -312,12 +324,88 @@ def test_a_bad_command_line_ends_the_start_without_traceback(
     site: Site, arguments: list[str], text: str
 ) -> None:
     with site.start('obb_to_hbb', arguments=arguments) as process:
-        assert process.wait() == 1
-    # A library of ROS may log something before it.
-    line = process.log.splitlines()[-1]
-    assert line.startswith('cannot start: ')
-    assert text in line
-    assert 'Traceback' not in process.log
+        assert_refused(process, text)
+
+
+def test_security_that_is_asked_for_and_cannot_be_had_ends_the_start(
+    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Without keys, and on PyPI without the middleware for them.
+    (tmp_path / 'enclaves' / 'ships').mkdir(parents=True)
+    for name, value in (('KEYSTORE', str(tmp_path)), ('ENABLE', 'true'), ('STRATEGY', 'Enforce')):
+        monkeypatch.setenv(f'ROS_SECURITY_{name}', value)
+    with site.start('obb_to_hbb', arguments=['--enclave', '/ships']) as process:
+        assert_refused(process, 'error creating node')
+
+
+def test_an_argument_that_the_locale_cannot_read_ends_the_start(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (('LC_ALL', 'C'), ('PYTHONCOERCECLOCALE', '0'), ('PYTHONUTF8', '0')):
+        monkeypatch.setenv(name, value)
+    with site.start('obb_to_hbb', arguments=['-p', 'hardware_id:=Käfer']) as process:
+        assert_refused(process, 'hardware_id:=K', 'LANG=C.UTF-8')
+
+
+FAILING = """
+import sys
+from obbhbb_ros.nodes.process import run
+from obbhbb_ros.nodes.stop import Stop
+
+def make_node():
+    raise {error}
+
+sys.exit(run(make_node, Stop()))
+"""
+
+
+@pytest.mark.parametrize(
+    ('error', 'text'),
+    [
+        ('MemoryError()', 'too little memory'),
+        ("RuntimeError('no thread\\nleft')", 'no thread left'),
+        ('OSError()', 'OSError'),
+        ("ImportError('no Pillow')", 'no Pillow'),
+    ],
+)
+def test_what_the_machine_lacks_ends_the_start_with_one_line(
+    tmp_path: Path, error: str, text: str
+) -> None:
+    command = [sys.executable, '-c', FAILING.format(error=error)]
+    with NodeProcess(command, tmp_path / 'log') as process:
+        assert_refused(process, text)
+
+
+# What is not for ROS --------------------------------------------------------------------------
+
+
+def asked(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, '-m', 'obbhbb_ros.nodes', *arguments]
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=TIMEOUT)
+
+
+@pytest.mark.parametrize('node', NODE_TABLES)
+def test_help_lists_the_parameters(node: str) -> None:
+    answer = asked(node, '--help')
+    assert answer.returncode == 0
+    assert answer.stdout.startswith(f'usage: {node} ')
+    assert all(f'\n  {row.name} (' in answer.stdout for row in NODE_TABLES[node].rows)
+
+
+def test_version_is_that_of_the_package() -> None:
+    answer = asked('obb_to_hbb', '--version', '--ros-args', '-p', 'q:=2.0')
+    assert (answer.returncode, answer.stdout) == (0, f'obb_to_hbb {__version__}\n')
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'unknown'),
+    [(['-p', 'q:=2.0'], '-p q:=2.0'), (['--ros-args', '-p', 'q:=2.0', '--', 'ships'], 'ships')],
+)
+def test_an_argument_that_is_not_for_ros_ends_the_start(arguments: list[str], unknown: str) -> None:
+    answer = asked('obb_to_hbb', *arguments)
+    assert (answer.returncode, answer.stdout) == (1, '')
+    (line,) = answer.stderr.splitlines()
+    assert line.startswith(f'cannot start: unknown arguments: {unknown}; ')
 
 
 # Quality of service ---------------------------------------------------------------------------

@@ -14,7 +14,9 @@ from pathlib import Path
 
 import pytest
 
+from obbhbb_ros import __version__
 from obbhbb_ros.cli import main
+from obbhbb_ros.commands import COMMANDS
 from obbhbb_ros.files import replacing
 from obbhbb_ros.labels import read_labels
 
@@ -28,6 +30,21 @@ def ships(tmp_path: Path) -> Path:
     path = tmp_path / 'ships.csv'
     path.write_text(HEAD + ''.join(ROW.format(i % 10, i) for i in range(400)))
     return path
+
+
+# Without a command ----------------------------------------------------------------------------
+
+
+def test_without_a_command_all_of_them_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    assert set(COMMANDS) <= set(capsys.readouterr().out.split())
+
+
+def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(['--version'])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out == f'obbhbb {__version__}\n'
 
 
 # A full disk ----------------------------------------------------------------------------------
