@@ -35,8 +35,7 @@ def run_node(name: str) -> int:
         module = import_module(f'obbhbb_ros.nodes.{name}')
     except REASONS as error:
         return cannot_start(error)
-    code: int = process.run(getattr(module, NODES[name]), stop)
-    return code
+    return int(process.run(getattr(module, NODES[name]), stop))
 
 
 def not_for_ros(arguments: list[str]) -> list[str]:

@@ -132,13 +132,10 @@ def boxes_by_method(labels: ImageLabels) -> dict[str, FloatArray]:
 
 def xyxy_of(message: Detection2DArray) -> FloatArray:
     """Read axis-aligned boxes from a message, (N, 4), pixels."""
-    rows = np.array(
-        [
-            (d.bbox.center.position.x, d.bbox.center.position.y, d.bbox.size_x, d.bbox.size_y)
-            for d in message.detections
-        ]
-    ).reshape(-1, 4)
-    return np.hstack((rows[:, :2] - rows[:, 2:] / 2.0, rows[:, :2] + rows[:, 2:] / 2.0))
+    boxes = [detection.bbox for detection in message.detections]
+    centers = np.array([(box.center.position.x, box.center.position.y) for box in boxes])
+    sizes = np.array([(box.size_x, box.size_y) for box in boxes])
+    return np.hstack((centers - sizes / 2.0, centers + sizes / 2.0)).reshape(-1, 4)
 
 
 def record_chain(frames: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> list[Recorded]:

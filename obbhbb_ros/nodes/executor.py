@@ -90,8 +90,7 @@ class ExpressExecutor(SingleThreadedExecutor):
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """See the base class."""
         self._close_wait_set()
-        ended: bool = super().shutdown(timeout_sec)
-        return ended
+        return bool(super().shutdown(timeout_sec))
 
     def _spin_base(self, timeout_sec: float | None) -> None:
         """Let the base class wait, and handle one thing."""

@@ -8,7 +8,6 @@ Only this module and `executor.py` use any. Both are written for rclpy 7 (Jazzy)
 from __future__ import annotations
 
 from collections.abc import Callable
-from collections.abc import Mapping
 from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -17,16 +16,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 
-def parameters_given(node: Node) -> Mapping[str, Parameter]:
+def parameters_given(node: Node) -> dict[str, Parameter]:
     """Return the parameters from YAML files and the command line, declared or not."""
-    overrides: Mapping[str, Parameter] = node._parameter_overrides
-    return overrides
+    return dict(node._parameter_overrides)
 
 
 def state_label(node: LifecycleNode) -> str:
     """Return the lifecycle state of a node."""
-    label: str = node._state_machine.current_state[1]
-    return label
+    return str(node._state_machine.current_state[1])
 
 
 def refuse_impossible_transitions(node: LifecycleNode, log: Callable[[str], object]) -> None:

@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter as RosParameter
 
 from obbhbb_ros.limits import Choices
 from obbhbb_ros.limits import Range
+from obbhbb_ros.nodes import internals
 from obbhbb_ros.settings.common import LOCK
 from obbhbb_ros.settings.parameter_file import Values
 from obbhbb_ros.settings.parameters import Parameter
@@ -62,8 +63,6 @@ class LiveParameters(Generic[SettingsT]):
         The node.
     table : ParameterTable
         Its parameters.
-    overrides : mapping of str to rclpy.parameter.Parameter
-        Values set at start, by YAML or command line.
 
     Attributes
     ----------
@@ -82,9 +81,8 @@ class LiveParameters(Generic[SettingsT]):
         If one of them has the wrong type or is out of range.
     """
 
-    def __init__(
-        self, node: Node, table: ParameterTable[SettingsT], overrides: Mapping[str, RosParameter]
-    ) -> None:
+    def __init__(self, node: Node, table: ParameterTable[SettingsT]) -> None:
+        overrides = internals.parameters_given(node)
         self._node = node
         self._table = table
         self.on_change: Callable[[], object] = lambda: None

@@ -65,7 +65,7 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
         self, name: str, table: ParameterTable[SettingsT], rates: tuple[str, ...], **kwargs: Any
     ) -> None:
         super().__init__(name, **kwargs)
-        self.parameters = LiveParameters[SettingsT](self, table, internals.parameters_given(self))
+        self.parameters = LiveParameters[SettingsT](self, table)
         unknown = [n for n in self.parameters.unknown if not n.startswith(OVERRIDE_PREFIX)]
         if unknown:
             self.get_logger().warning(f'unknown parameters, ignored: {", ".join(unknown)}')

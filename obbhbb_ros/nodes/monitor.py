@@ -67,9 +67,6 @@ class Monitor:
         """Return percentiles of the latest 1000 latencies, by their keys in the diagnostics."""
         if not self._latencies:
             return {}
-        p50, p99, highest = np.percentile(np.array(self._latencies) * 1e3, (50, 99, 100))
-        return {
-            'latency_p50_ms': f'{p50:.3f}',
-            'latency_p99_ms': f'{p99:.3f}',
-            'latency_max_ms': f'{highest:.3f}',
-        }
+        values = np.percentile(np.array(self._latencies) * 1e3, (50, 99, 100))
+        named = zip(('p50', 'p99', 'max'), values, strict=True)
+        return {f'latency_{name}_ms': f'{value:.3f}' for name, value in named}

@@ -55,7 +55,7 @@ def best_effort(depth: int) -> QoSProfile:
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-def create_output(node: Node, kind: Any, topic: str, depth: int = _DEPTH) -> Any:
+def create_output(node: Node, kind: Any, topic: str, depth: int) -> Any:
     """Create a reliable publisher, given its message class."""
     return node.create_publisher(kind, topic, reliable(depth), qos_overriding_options=_OVERRIDABLE)
 
@@ -113,8 +113,7 @@ class TopicInput:
     @property
     def topic_name(self) -> str:
         """Name of the topic after namespace and remaps."""
-        name: str = self.topics.node.resolve_topic_name(self.topic)
-        return name
+        return str(self.topics.node.resolve_topic_name(self.topic))
 
     @property
     def is_open(self) -> bool:

@@ -36,7 +36,6 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.image_files import find_images
 from obbhbb_ros.labels.image_files import load_image
 from obbhbb_ros.labels.image_labels import BowSource
-from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.live_parameters import LiveParameters
 from obbhbb_ros.nodes.node_topics import create_output
 from obbhbb_ros.nodes.node_topics import message_type
@@ -69,9 +68,7 @@ class PlayDetections(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__('play_detections', **kwargs)
-        self._live_parameters = LiveParameters[PlayerSettings](
-            self, PLAY_DETECTIONS, internals.parameters_given(self)
-        )
+        self._live_parameters = LiveParameters[PlayerSettings](self, PLAY_DETECTIONS)
         settings = self._live_parameters.settings
         self._output_type = INPUT_TYPES[settings.output_type]
         self._wanted = settings.wait_for_subscribers

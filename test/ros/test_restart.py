@@ -189,6 +189,40 @@ def test_a_node_that_hangs_at_its_end_leaves_that_in_the_state_file(tmp_path: Pa
     assert (run.ended, run.asked) == ('not ended 1.5 s after a signal', False)
 
 
+TWO_NODES = """
+import sys, time
+import rclpy
+from rclpy.parameter import Parameter
+from obbhbb_ros.nodes.downlink import Downlink
+from obbhbb_ros.nodes.obb_to_hbb import ObbToHbb
+from obbhbb_ros.nodes.supervision import Supervision
+
+def parameters(name, timeout):
+    values = {'state.path': f'{sys.argv[1]}/{name}.json', 'watchdog_timeout': timeout,
+              'spool.path': f'{sys.argv[1]}/spool', 'outbox.path': f'{sys.argv[1]}/outbox'}
+    return [Parameter(name, value=value) for name, value in values.items()]
+
+rclpy.init()
+supervision = Supervision([
+    ObbToHbb(parameter_overrides=parameters('obb_to_hbb', 60.0)),
+    Downlink(parameter_overrides=parameters('downlink', 2.0)),
+])
+supervision.start_nodes()
+time.sleep(1_000_000)
+"""
+
+
+def test_one_watchdog_watches_over_all_nodes_of_a_process(site: Site, tmp_path: Path) -> None:
+    command = [sys.executable, '-c', TWO_NODES, str(tmp_path)]
+    ended = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert ended.returncode == 70
+    assert ended.stderr.count('leaving from:') == 1
+    for name in ('obb_to_hbb', 'downlink'):
+        run = read_run((tmp_path / f'{name}.json').read_bytes())
+        assert (run.node, run.state, run.asked) == (f'/{name}', 'active', False)
+        assert run.ended.startswith('watchdog: no turn of the executor for 2 s, in <module>')
+
+
 # Without ---------------------------------------------------------------------------------------
 
 
