@@ -6,7 +6,6 @@ from __future__ import annotations
 import itertools
 import os
 import signal
-import struct
 import subprocess
 import sys
 import time
@@ -39,6 +38,7 @@ from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.nodes.play_detections import image_message
+from obbhbb_ros.wire.buffer import Buffer
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.stamp import nanoseconds_of
 
@@ -49,8 +49,6 @@ _AGAIN = 0.5
 _PERIOD = 0.25
 # Pixels. Viewers refuse a camera info without a focal length.
 _FOCAL_LENGTH = 2000.0
-# A message begins with its header, after the encapsulation header.
-_STAMP_AT = 4
 
 _SENT = {'/camera_info': CameraInfo, '/image': Image, '/detections': Detection2DArray}
 _PER_FRAME = {
@@ -120,9 +118,9 @@ def boxes_by_method(labels: ImageLabels) -> dict[str, FloatArray]:
         arguments += ['-p', f'classes.{method}.method:={method}']
         ships = replace(labels, class_ids=(method,) * len(labels.class_ids))
         message.detections += detections_message(ships, message.header).detections
-    answers: list[Detection2DArray] = []
+    answers: list[bytes] = []
     with _Chain({'obb_to_hbb': arguments}) as chain:
-        chain.node.create_subscription(Detection2DArray, 'boxes', answers.append, 10)
+        chain.node.create_subscription(Detection2DArray, 'boxes', answers.append, 10, raw=True)
         publisher = chain.node.create_publisher(Detection2DArray, 'detections', 10)
         # Repeatedly, because client and node discover each other's topics one by one.
         chain.spin_until(lambda: bool(answers), 'boxes', partial(publisher.publish, message))
@@ -130,12 +128,11 @@ def boxes_by_method(labels: ImageLabels) -> dict[str, FloatArray]:
     return dict(zip(ONBOARD_METHODS, boxes, strict=True))
 
 
-def xyxy_of(message: Detection2DArray) -> FloatArray:
-    """Read axis-aligned boxes from a message, (N, 4), pixels."""
-    boxes = [detection.bbox for detection in message.detections]
-    centers = np.array([(box.center.position.x, box.center.position.y) for box in boxes])
-    sizes = np.array([(box.size_x, box.size_y) for box in boxes])
-    return np.hstack((centers - sizes / 2.0, centers + sizes / 2.0)).reshape(-1, 4)
+def xyxy_of(data: bytes) -> FloatArray:
+    """Read axis-aligned boxes from a serialized message, (N, 4), pixels."""
+    rows = Detections(data).xywhr()
+    centers, sizes = rows[:, :2], rows[:, 2:4]
+    return np.hstack((centers - sizes / 2.0, centers + sizes / 2.0))
 
 
 def record_chain(frames: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> list[Recorded]:
@@ -230,7 +227,7 @@ class _Camera:
     def _receive(self, topic: str, data: bytes) -> None:
         """Add a message to its frame."""
         message = Recorded(topic, time.time_ns(), bytes(data))
-        stamp = nanoseconds_of(struct.unpack_from('<iI', data, _STAMP_AT))
+        stamp = nanoseconds_of(Buffer(data).stamp)
         # The stamp of a chip is that of its image plus some nanoseconds.
         image_stamp = max((taken for taken in self.frames if taken <= stamp), default=None)
         if image_stamp is not None:

@@ -82,7 +82,7 @@ class Downlink(ManagedNode[DownlinkSettings]):
         if self._worker is not None:
             settings = self.parameters.settings
             has_contact = settings.always_in_contact or self._contact
-            self._worker.steer(settings.release, self.is_active and has_contact)
+            self._worker.steer(settings.release, self.topics.is_active and has_contact)
 
     def destroy_node(self) -> None:
         """Stop the thread with the node."""

@@ -75,11 +75,6 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
         self.parts: list[Part] = [self.reporter, self.topics]
         internals.refuse_impossible_transitions(self, self.get_logger().error)
 
-    @property
-    def is_active(self) -> bool:
-        """Whether the node is active."""
-        return self.topics.is_active
-
     def autostart(self) -> None:
         """
         Configure and activate the node, if the parameter `autostart` is set.
@@ -115,7 +110,8 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop working; messages are counted and dropped."""
-        self._deactivate_parts()
+        for part in self._all_parts():
+            part.deactivate()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -135,15 +131,12 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
         return super().on_error(state)
 
     def _all_parts(self) -> tuple[Part, ...]:
+        """Return all parts, the node itself last."""
         return (*self.parts, self)
-
-    def _deactivate_parts(self) -> None:
-        """Deactivate all parts."""
-        for part in self._all_parts():
-            part.deactivate()
 
     def _release_parts(self) -> None:
         """Deactivate all parts, whatever the state, and clean them up."""
-        self._deactivate_parts()
+        for part in self._all_parts():
+            part.deactivate()
         for part in reversed(self._all_parts()):
             part.cleanup()

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from dataclasses import field
 from importlib import import_module
 from typing import Any
 
@@ -62,31 +61,26 @@ def create_output(node: Node, kind: Any, topic: str, depth: int) -> Any:
 
 @dataclass(eq=False)
 class TopicOutput:
-    """
-    A topic that a node publishes on; made by `NodeTopics.output`.
-
-    Attributes
-    ----------
-    publish : callable
-        Publishes a message or its bytes, while the topic is open.
-    """
+    """A topic that a node publishes on; made by `NodeTopics.output`."""
 
     node: Node
     kind: Any
     topic: str
     depth: int
-    publish: Callable[[Any], None] = field(init=False)
     _publisher: Any = None
 
     def open(self) -> None:
         """Create the publisher."""
         self._publisher = create_output(self.node, self.kind, self.topic, self.depth)
-        self.publish = self._publisher.publish
 
     def close(self) -> None:
         """Destroy the publisher, if there is one."""
         self.node.destroy_publisher(self._publisher)
         self._publisher = None
+
+    def publish(self, message: Any) -> None:
+        """Publish a message or its bytes, while the topic is open."""
+        self._publisher.publish(message)
 
     def wanted(self) -> bool:
         """Return whether the topic has a subscriber."""

@@ -71,8 +71,6 @@ class PlayDetections(Node):
         self._live_parameters = LiveParameters[PlayerSettings](self, PLAY_DETECTIONS)
         settings = self._live_parameters.settings
         self._output_type = INPUT_TYPES[settings.output_type]
-        self._wanted = settings.wait_for_subscribers
-        self._period = 1.0 / settings.rate
         self._skipped = 0
         self._images = list(self._read(settings))
         if not self._images:
@@ -109,16 +107,18 @@ class PlayDetections(Node):
 
     def _begin(self) -> None:
         """Wait for the subscribers, then play."""
-        if self._publisher.get_subscription_count() < self._wanted:
+        settings = self._live_parameters.settings
+        wanted = settings.wait_for_subscribers
+        if self._publisher.get_subscription_count() < wanted:
             self.get_logger().info(
-                f'waiting for {self._wanted} subscriber(s) of {self._publisher.topic_name}',
+                f'waiting for {wanted} subscriber(s) of {self._publisher.topic_name}',
                 throttle_duration_sec=5.0,
             )
             return
         if not self._subscribers_are_connected():
             return
         self.destroy_timer(self._timer)
-        self._timer = self.create_timer(self._period, self._play_next)
+        self._timer = self.create_timer(1.0 / settings.rate, self._play_next)
         self._play_next()
 
     def _subscribers_are_connected(self) -> bool:

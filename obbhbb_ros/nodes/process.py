@@ -27,6 +27,7 @@ from obbhbb_ros.nodes.stop import RUNNING
 from obbhbb_ros.nodes.stop import STARTING
 from obbhbb_ros.nodes.stop import Stop
 from obbhbb_ros.nodes.supervision import Supervision
+from obbhbb_ros.nodes.watchdog import Watchdog
 
 # The stock executor does not return when it is only woken, and the watchdog has to tell an idle
 # executor from a blocked one.
@@ -95,10 +96,10 @@ def _run_to_the_end(executor: Executor, node: Node, stop: Stop, supervision: Sup
     """Spin a node until asked to stop, then destroy it."""
     stop.wake_by(executor.wake)
     try:
-        spin(executor, node, stop, supervision)
+        spin(executor, node, stop, supervision.watchdog)
     finally:
         supervision.watchdog.stop()
-        stop.wake_by(None)
+        stop.wake_by(lambda: None)
         executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
@@ -127,13 +128,13 @@ def never_wait_to_log() -> None:
                 os.close(descriptor)
 
 
-def spin(executor: Executor, node: Node, stop: Stop, supervision: Supervision) -> None:
+def spin(executor: Executor, node: Node, stop: Stop, watchdog: Watchdog) -> None:
     """Spin until asked to stop; an error in a callback is logged, and the node goes on."""
     # A collection takes 18 ms if it looks through the modules, which live until the end.
     gc.collect()
     gc.freeze()
     while not stop.requested and node.context.ok():
-        supervision.watchdog.turns += 1
+        watchdog.turns += 1
         try:
             executor.spin_once(timeout_sec=_MAX_WAIT)
         except ExternalShutdownException:

@@ -46,7 +46,7 @@ class Stop:
         self.patience = 0.0
         self.name = ''
         self.on_leaving: Callable[[str], object] = lambda reason: None
-        self._wake: Callable[[], None] | None = None
+        self._wake: Callable[[], object] = lambda: None
         self._lock = threading.Lock()
         signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         threading.Thread(target=self._listen, name='signals', daemon=True).start()
@@ -56,8 +56,8 @@ class Stop:
         """Whether the process was asked to end."""
         return bool(self.name)
 
-    def wake_by(self, wake: Callable[[], None] | None) -> None:
-        """Set the function that the signal thread calls when a signal comes; None for none."""
+    def wake_by(self, wake: Callable[[], object]) -> None:
+        """Set the function that the signal thread calls when a signal comes."""
         with self._lock:
             self._wake = wake
 
@@ -66,8 +66,7 @@ class Stop:
         self.name = signal.Signals(signal.sigwait(_SIGNALS)).name
         asked = time.monotonic()
         with self._lock:
-            if self._wake is not None:
-                self._wake()
+            self._wake()
         # The node may finish starting in the meantime, which raises the patience.
         while (left := asked + self.patience - time.monotonic()) > 0.0:
             signal.sigtimedwait(_SIGNALS, left)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
 from obbhbb_ros.geometry.boxes import OrientedBoxes
@@ -30,7 +31,8 @@ def test_a_calibrated_node_gives_the_boxes_of_the_study(start, own, tmp_path) ->
     labels = rectangular(harbour())
     node = start(arguments=['--params-file', str(path)])
     node.connect()
-    boxes = xyxy_of(node.convert(detections_message(labels, Header(frame_id='camera'))))
+    answer = node.convert(detections_message(labels, Header(frame_id='camera')))
+    boxes = xyxy_of(serialize_message(answer))
     rules = [own.get(class_id, RULE) for class_id in labels.class_ids]
     oriented = OrientedBoxes.from_corners(labels.corners)
     expected = [convert_by_rule(oriented, rule)[row] for row, rule in enumerate(rules)]

@@ -41,7 +41,9 @@ class Noted(Part):
         self._note('cleanup')
 
     def _note(self, transition: str) -> None:
-        self._notes.append(f'{transition} {self._name}' + ' while active' * self._node.is_active)
+        self._notes.append(
+            f'{transition} {self._name}' + ' while active' * self._node.topics.is_active
+        )
 
 
 class TwoParts(ManagedNode):

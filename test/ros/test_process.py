@@ -64,8 +64,7 @@ def flat(tree: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]
 
 
 @pytest.mark.parametrize(
-    ('file', 'rule'),
-    [('obb_to_hbb.yaml', HullRule()), ('paper.yaml', HullRule(**PAPER))],
+    ('file', 'rule'), [('obb_to_hbb.yaml', HullRule()), ('paper.yaml', HullRule(**PAPER))]
 )
 def test_a_shipped_parameter_file_gives_what_it_states(
     start: Start, file: str, rule: HullRule

@@ -129,10 +129,7 @@ def test_a_run_that_cannot_start_leaves_the_state_file_as_it_is(site: Site, tmp_
     file = tmp_path / 'state.json'
     before = asdict(replace(RUN, counters={'chips_stored': 7}))
     file.write_text(json.dumps(before))
-    parameters = {
-        'state.path': file,
-        'qos_overrides./boxes.publisher.reliability': 'perhaps',
-    }
+    parameters = {'state.path': file, 'qos_overrides./boxes.publisher.reliability': 'perhaps'}
     with site.start('obb_to_hbb', parameters=parameters) as process:
         assert process.wait() == 1
         assert 'cannot start' in process.log
@@ -374,9 +371,7 @@ print(state_file.last_run.warning)
 """
 
 
-def test_a_run_that_cannot_start_keeps_the_stacks_of_the_crash_before_it(
-    tmp_path: Path,
-) -> None:
+def test_a_run_that_cannot_start_keeps_the_stacks_of_the_crash_before_it(tmp_path: Path) -> None:
     def run(*words: str) -> str:
         command = [sys.executable, '-c', DYING, str(tmp_path / 'n.json'), *words]
         return subprocess.run(command, check=False, capture_output=True, text=True).stdout
