@@ -64,8 +64,7 @@ class Outputs(NamedTuple):
     crop_sources: Output = NOBODY
 
 
-@dataclass(frozen=True)
-class ConversionOutcome:
+class ConversionOutcome(NamedTuple):
     """
     What became of a message.
 
@@ -118,20 +117,18 @@ def answer(
     wants_crops = (False, False) if wants_boxes else _crops_wanted(outputs)
     if not wants_boxes and not any(wants_crops):
         return ConversionOutcome(Counter({'messages_without_subscriber': 1}), {})
-    width, height = (
-        size or seen for size, seen in zip(settings.image_size, camera_size, strict=True)
-    )
+    width = settings.image_size[0] or camera_size[0]
+    height = settings.image_size[1] or camera_size[1]
     image_size = (width, height) if width and height else None
     if image_size is None and not settings.input_frame.is_image:
-        return ConversionOutcome(
-            Counter({'messages_without_image_size': 1}), _no_size(['no boxes'])
-        )
+        counts = Counter({'messages_without_image_size': 1})
+        return ConversionOutcome(counts, _no_size(['no boxes']))
     batch = Batch(data, input_type, settings, image_size)
     if wants_boxes:
         outputs.boxes.publish(batch.boxes_message())
         # Only now, so that the boxes do not wait for it.
         wants_crops = _crops_wanted(outputs)
-    counts, complaints = Counter(batch.counts), dict[str, str]()
+    counts, complaints = batch.counts, {}
     if image_size is None:
         missed = ['no crop regions'] if any(wants_crops) else []
         if wants_boxes and settings.clip_boxes:
@@ -235,7 +232,7 @@ class Batch:
 
     def boxes_message(self) -> bytes:
         """Write the message with axis-aligned boxes in place of the oriented ones."""
-        xywh = np.hstack((self._center, 2.0 * self._extents))
+        xywh = np.concatenate((self._center, 2.0 * self._extents), axis=1)
         if self._regular:
             return self._detections.rewrite(xywh)
         valid = np.isfinite(self._extents[:, 0])
@@ -281,7 +278,7 @@ class Batch:
         """
         boxes = self._boxes
         rows = plan.sources[plan.offsets[:-1]]
-        xywhr = np.vstack((boxes.center.T, boxes.length, boxes.width, boxes.theta))
+        xywhr = np.array((*boxes.center.T, boxes.length, boxes.width, boxes.theta))
         return self._detections.ranked(rows, xywhr[:, rows], plan.values)
 
     def crop_counts(self, plan: CropPlan) -> Counter[str]:

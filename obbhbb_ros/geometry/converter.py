@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -87,7 +88,7 @@ class HullRule(CheckedSettings):
         q_bow, q_stern = self.q_bow, self.q_stern
         return self.q if q_bow is None else q_bow, self.q if q_stern is None else q_stern
 
-    @property
+    @cached_property
     def uses_bow(self) -> bool:
         """Whether a known bow changes the box."""
         return METHODS[self.method].two_ended and self.ends != (self.q, self.q)
@@ -221,9 +222,8 @@ def convert(
     >>> convert(to_the_right, q_bow=1.0, q_stern=np.inf).round(1)
     array([[21.7, 11.7, 71.2, 61.2]])
     """
-    uncapped = max_length is None and max_width is None
-    caps = NO_CAPS if uncapped else Caps(max_length, max_width)
-    return convert_by_rule(boxes, HullRule(method, q, f, s, q_bow, q_stern), caps)
+    rule = HullRule(method, q, f, s, q_bow, q_stern)
+    return convert_by_rule(boxes, rule, Caps(max_length, max_width))
 
 
 def convert_by_rule(boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS) -> FloatArray:
@@ -339,16 +339,9 @@ def convert_with_diagnostics(
         t = method.contact(along, across, rule.q)
         if rule.uses_bow:
             t = np.where(boxes.bow[:, None], method.contact(along, across, rule.ends[0]), t)
-    return Conversion(
-        xyxy=xyxy,
-        valid=valid,
-        length=boxes.length,
-        width=boxes.width,
-        theta=boxes.theta,
-        t_x=np.where(valid, t[:, 0], np.nan),
-        t_y=np.where(valid, t[:, 1], np.nan),
-        capped=valid & (xyxy != uncapped).any(axis=1),
-    )
+    t_x, t_y = np.where(valid, t.T, np.nan)
+    capped = valid & (xyxy != uncapped).any(axis=1)
+    return Conversion(xyxy, valid, boxes.length, boxes.width, boxes.theta, t_x, t_y, capped)
 
 
 def to_xyxy(center: FloatArray, extents: FloatArray, out: FloatArray | None = None) -> FloatArray:
@@ -387,10 +380,7 @@ def _all_xyxy(boxes: OrientedBoxes, rule: HullRule, caps: Caps) -> FloatArray:
 
 
 def _all_placed(
-    boxes: OrientedBoxes,
-    rules: Sequence[HullRule],
-    rule_of: NDArray[np.intp] | None,
-    caps: Caps,
+    boxes: OrientedBoxes, rules: Sequence[HullRule], rule_of: NDArray[np.intp] | None, caps: Caps
 ) -> tuple[FloatArray, FloatArray]:
     """Compute centres and half-extents of all boxes, block by block or rule by rule."""
     if rule_of is None and len(boxes) <= BLOCK:

@@ -11,6 +11,7 @@ import numpy as np
 
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.geometry.boxes import corners_of
 
 __all__ = ['FITS', 'InputFrame']
 
@@ -147,17 +148,7 @@ class InputFrame:
             The boxes in the image; defects are kept.
         """
         boxes = OrientedBoxes.from_xywhr(xywhr, bow=bow)
-        center, ahead, aside = boxes.center, boxes.first, boxes.second
-        with np.errstate(over='ignore', invalid='ignore'):
-            # The first two are the bow end.
-            corners = np.stack(
-                (
-                    center + ahead - aside,
-                    center + ahead + aside,
-                    center - ahead + aside,
-                    center - ahead - aside,
-                ),
-                axis=1,
-            )
+        # Rolled, so that the first two are the bow end.
+        corners = np.roll(corners_of(boxes.center, boxes.first, boxes.second), -1, axis=1)
         mapped = OrientedBoxes.from_corners(self.to_image(corners, image_size), bow=boxes.bow)
         return replace(mapped, defects=np.where(boxes.valid, mapped.defects, boxes.defects))

@@ -222,55 +222,49 @@ class Method:
     two_ended: bool = False
 
 
-METHODS: MappingProxyType[str, Method] = MappingProxyType(
-    {
-        method.name: method
-        for method in (
-            Method(
-                'superellipse',
-                superellipse,
-                superellipse_contact,
-                'exact projection of the superellipse hull',
-                tunable=True,
-                two_ended=True,
-            ),
-            Method(
-                'shape_aware',
-                shape_aware,
-                shape_aware_contact,
-                'the published rule, Algorithm 1',
-                tunable=True,
-                symmetric=False,
-            ),
-            Method('outer', outer, _contact_at(np.inf), 'minimum and maximum of the corners'),
-            Method(
-                'midpoint', midpoint, _contact_at(1.0), 'minimum and maximum of the edge midpoints'
-            ),
-            Method('gaussian', gaussian, _contact_at(2.0), 'Gaussian of the box, marginalised'),
-            Method(
-                'area_equivalent',
-                area_equivalent,
-                _no_contact,
-                'outer box scaled to the area of the oriented box',
-            ),
-            Method(
-                'gaussian_published',
-                gaussian_published,
-                _no_contact,
-                'Gaussian baseline as the paper runs it, x and y swapped',
-                onboard=False,
-            ),
-            Method(
-                'area_equivalent_published',
-                area_equivalent_published,
-                _no_contact,
-                'area baseline as the paper runs it, length always on x',
-                symmetric=False,
-                onboard=False,
-            ),
-        )
-    }
+_METHODS = (
+    Method(
+        'superellipse',
+        superellipse,
+        superellipse_contact,
+        'exact projection of the superellipse hull',
+        tunable=True,
+        two_ended=True,
+    ),
+    Method(
+        'shape_aware',
+        shape_aware,
+        shape_aware_contact,
+        'the published rule, Algorithm 1',
+        tunable=True,
+        symmetric=False,
+    ),
+    Method('outer', outer, _contact_at(np.inf), 'minimum and maximum of the corners'),
+    Method('midpoint', midpoint, _contact_at(1.0), 'minimum and maximum of the edge midpoints'),
+    Method('gaussian', gaussian, _contact_at(2.0), 'Gaussian of the box, marginalised'),
+    Method(
+        'area_equivalent',
+        area_equivalent,
+        _no_contact,
+        'outer box scaled to the area of the oriented box',
+    ),
+    Method(
+        'gaussian_published',
+        gaussian_published,
+        _no_contact,
+        'Gaussian baseline as the paper runs it, x and y swapped',
+        onboard=False,
+    ),
+    Method(
+        'area_equivalent_published',
+        area_equivalent_published,
+        _no_contact,
+        'area baseline as the paper runs it, length always on x',
+        symmetric=False,
+        onboard=False,
+    ),
 )
+METHODS = MappingProxyType({method.name: method for method in _METHODS})
 
 ONBOARD_METHODS: tuple[str, ...] = tuple(m.name for m in METHODS.values() if m.onboard)
 

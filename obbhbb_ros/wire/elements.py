@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import chain
 from typing import Any
 from typing import NamedTuple
@@ -29,6 +28,7 @@ from obbhbb_ros.wire.walk import AnyPlaces
 from obbhbb_ros.wire.walk import ArrayGaps
 from obbhbb_ros.wire.walk import ArrayPlaces
 from obbhbb_ros.wire.walk import Gaps
+from obbhbb_ros.wire.walk import Many
 from obbhbb_ros.wire.walk import Numbers
 from obbhbb_ros.wire.walk import Places
 from obbhbb_ros.wire.walk import Step
@@ -44,6 +44,10 @@ from obbhbb_ros.wire.walk import walk_all
 _MIN_AT_ONCE = 32
 # How many words of a string are compared when other elements with the same string are looked for.
 _MAX_WORDS = 4
+# How many elements are walked over to learn which lengths differ; how many lengths are compared at
+# least.
+_SAMPLE = 8
+_MIN_COMPARED = 2
 _SizeTree: TypeAlias = dict[int, Any]
 """By the length that lies `_OFFSET` bytes behind the start of an element: a tree, or its size."""
 _OFFSET = -1
@@ -127,7 +131,7 @@ def read_elements(data: bytes, input_type: InputType) -> tuple[EditableBuffer, E
     gaps.append((header_end, start))
     header_words, count = start >> 2, 1
     if input_type.is_sequence:
-        count = element_count(lengths, start, input_type.element)
+        count = element_count(lengths, start, input_type.min_bytes)
         start += 4
     span = _Span(lengths, start, input_type.element, count)
     located = _locate_all_at_once(span, buffer) if count >= _MIN_AT_ONCE else None
@@ -161,8 +165,8 @@ def _locate_one_by_one(span: _Span, gaps: Gaps) -> tuple[Places, list[int]]:
 
 def _locate_all_at_once(span: _Span, buffer: EditableBuffer) -> tuple[ArrayPlaces, IntArray] | None:
     """Walk over all elements together; None if that fails, as where sequences differ in length."""
-    # Each of these takes longer than the one before, and fails less often.
-    for find_starts in (_likely_starts, partial(_learned_starts, max_lengths=2), _learned_starts):
+    # The second one takes longer, and fails less often.
+    for find_starts in (_likely_starts, _learned_starts):
         fields: ArrayPlaces = {}
         gaps: ArrayGaps = []
         try:
@@ -206,14 +210,14 @@ def _likely_starts(span: _Span) -> IntArray:
     return 4 * places - before.length
 
 
-def _learned_starts(span: _Span, max_lengths: int | None = None) -> IntArray:
+def _learned_starts(span: _Span) -> IntArray:
     """
     Go from element to element, and walk only over those unlike any before.
 
-    An element whose strings and sequences are as long as those of an earlier one has its size. With
-    `max_lengths`, only this many of them are compared.
+    An element whose strings and sequences are as long as those of an earlier one has its size.
     """
     lengths, starts = span.lengths, []
+    compared = _compared_steps(span)
     # Elements that start at an even and at an odd word have other padding.
     trees: tuple[_SizeTree, _SizeTree] = ({}, {})
     at = span.start
@@ -228,11 +232,31 @@ def _learned_starts(span: _Span, max_lengths: int | None = None) -> IntArray:
         except (IndexError, KeyError):
             fields: Places = defaultdict(list)
             end = span.walk(number, at, fields, [])
-            steps = (step for step in all_steps(span.steps) if step.kind is not Numbers)
-            places = sorted(place for step in steps for place in fields[step.path])
-            _learn(trees[at >> 2 & 1], lengths, at, end, places[:max_lengths])
+            places = sorted(place for step in compared for place in fields[step.path])
+            _learn(trees[at >> 2 & 1], lengths, at, end, places)
             at = end
     return np.array(starts, np.int64)
+
+
+def _compared_steps(span: _Span) -> list[Step]:
+    """
+    List strings and sequences up to the last one whose length differs among the first elements.
+
+    To compare the lengths of all would take twice as long.
+    """
+    fields: Places = defaultdict(list)
+    at = span.start
+    for number in range(min(_SAMPLE, span.elements)):
+        at = span.walk(number, at, fields, [])
+    steps = [step for step in all_steps(span.steps) if step.kind is not Numbers]
+    differing = [
+        index
+        for index, step in enumerate(steps)
+        if len({span.lengths[place >> 2] for place in fields[step.path]}) > 1
+    ]
+    if any(steps[index].kind is Many for index in differing):
+        raise UnevenError
+    return steps[: max(_MIN_COMPARED, 1 + max(differing, default=0))]
 
 
 def _learn(

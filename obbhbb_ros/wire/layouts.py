@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from obbhbb_ros.wire.walk import Array
 from obbhbb_ros.wire.walk import Many
@@ -17,6 +18,7 @@ from obbhbb_ros.wire.walk import Numbers
 from obbhbb_ros.wire.walk import Step
 from obbhbb_ros.wire.walk import Struct
 from obbhbb_ros.wire.walk import Text
+from obbhbb_ros.wire.walk import min_bytes
 from obbhbb_ros.wire.walk import steps_of
 
 _UINT8 = Numbers(1)
@@ -25,21 +27,16 @@ _FLOAT64 = Numbers(8)
 
 _HEADER: Struct = {'stamp': {'sec': _INT32, 'nanosec': _UINT32}, 'frame_id': Text()}
 
+_POSE: Struct = {'position': Numbers(8, 3), 'orientation': Numbers(8, 4)}
+_POSE_2D: Struct = {'position': {'x': _FLOAT64, 'y': _FLOAT64}, 'theta': _FLOAT64}
 _HYPOTHESIS: Struct = {
     'hypothesis': {'class_id': Text(), 'score': _FLOAT64},
-    'pose': {
-        'pose': {'position': Numbers(8, 3), 'orientation': Numbers(8, 4)},
-        'covariance': Numbers(8, 36),
-    },
+    'pose': {'pose': _POSE, 'covariance': Numbers(8, 36)},
 }
 _DETECTION_2D: Struct = {
     'header': _HEADER,
     'results': Many(_HYPOTHESIS),
-    'bbox': {
-        'center': {'position': {'x': _FLOAT64, 'y': _FLOAT64}, 'theta': _FLOAT64},
-        'size_x': _FLOAT64,
-        'size_y': _FLOAT64,
-    },
+    'bbox': {'center': _POSE_2D, 'size_x': _FLOAT64, 'size_y': _FLOAT64},
     'id': Text(),
 }
 _YOLO_DETECTION: Struct = {
@@ -47,15 +44,8 @@ _YOLO_DETECTION: Struct = {
     'class_name': Text(),
     'score': _FLOAT64,
     'id': Text(),
-    'bbox': {
-        'center': {'position': {'x': _FLOAT64, 'y': _FLOAT64}, 'theta': _FLOAT64},
-        'size': {'x': _FLOAT64, 'y': _FLOAT64},
-    },
-    'bbox3d': {
-        'center': {'position': Numbers(8, 3), 'orientation': Numbers(8, 4)},
-        'size': Numbers(8, 3),
-        'frame_id': Text(),
-    },
+    'bbox': {'center': _POSE_2D, 'size': {'x': _FLOAT64, 'y': _FLOAT64}},
+    'bbox3d': {'center': _POSE, 'size': Numbers(8, 3), 'frame_id': Text()},
     'mask': {'height': _INT32, 'width': _INT32, 'data': Array(8, 2)},
     'keypoints': {'data': Many({'id': _INT32, 'point': Numbers(8, 2), 'score': _FLOAT64})},
     'keypoints3d': {
@@ -150,6 +140,11 @@ class InputType:
     score: str = ''
     id: str = ''
     box: str = ''
+
+    @cached_property
+    def min_bytes(self) -> int:
+        """The fewest bytes that a detection takes."""
+        return min_bytes(self.element)
 
 
 _INPUT_TYPES = (

@@ -126,7 +126,7 @@ def steps_of(struct: Struct, prefix: str = '') -> list[Step]:
             new = steps_of(kind, f'{path}.')
         elif isinstance(kind, Many):
             inner = steps_of(kind.element, f'{path}.')
-            new = [Step(Many, path, 4, _min_bytes(inner), inner, 4)]
+            new = [Step(Many, path, 4, min_bytes(inner), inner, 4)]
         elif isinstance(kind, Text):
             new = [Step(Text, path, 1, 0, (), 4)]
         else:
@@ -142,7 +142,7 @@ def steps_of(struct: Struct, prefix: str = '') -> list[Step]:
     return steps
 
 
-def _min_bytes(steps: Sequence[Step]) -> int:
+def min_bytes(steps: Sequence[Step]) -> int:
     """Return the fewest bytes that a struct takes."""
     return sum(step.length if step.kind is Numbers else _MIN_BYTES[step.kind] for step in steps)
 
@@ -211,12 +211,12 @@ def walk(lengths: memoryview, at: int, steps: Sequence[Step], places: Places, ga
     return at
 
 
-def element_count(lengths: memoryview, place: int, element: Sequence[Step]) -> int:
-    """Read how many elements a message has."""
+def element_count(lengths: memoryview, place: int, min_size: int) -> int:
+    """Read how many elements, of some bytes or more, a message has."""
     if place >> 2 >= len(lengths):
         raise WireError(f'the message ends before the number of its elements, at byte {place}')
     count: int = lengths[place >> 2]
-    _check_count('message', count, _min_bytes(element), 4 * len(lengths) - place - 4)
+    _check_count('message', count, min_size, 4 * len(lengths) - place - 4)
     return count
 
 
@@ -289,17 +289,18 @@ def _walk_elements(
     lengths: Words, at: IntArray, step: Step, count: IntArray, places: ArrayPlaces, gaps: ArrayGaps
 ) -> IntArray:
     """Walk over sequences of structs: first the first elements of all, then the second ones."""
+    number = int(count[0])
     # Structs that start at wrong places may overlap, so that together they claim too much.
-    too_many = int(count.sum()) * step.length > 4 * len(lengths)
-    if too_many or (count != count[0]).any():
+    too_many = number * len(count) * step.length > 4 * len(lengths)
+    if too_many or (count != number).any():
         raise UnevenError
     walks: list[ArrayPlaces] = []
-    for _ in range(int(count[0])):
+    for _ in range(number):
         walks.append({})
         at = walk_all(lengths, at, step.inner, walks[-1], gaps)
     for path in walks[0] if walks else ():
         # In the order of `walk`: all elements of the first struct, then those of the second.
-        places[path] = np.stack([elements[path] for elements in walks], axis=1).ravel()
+        places[path] = np.array([elements[path] for elements in walks]).T.ravel()
     return at
 
 

@@ -200,6 +200,30 @@ def test_many_detections_of_one_frame_take_no_step_for_each(
     assert steps.call_count == 2
 
 
+def test_many_detections_of_two_frames_take_a_step_for_each_length(monkeypatch) -> None:
+    frames, class_ids = ('port', 'starboard'), ('ship', 'container ship')
+    detections = tuple(
+        Detection(frame_id=frames[i % 2], results=(Hypothesis(class_ids[i // 2 % 2], 0.5),))
+        for i in range(300)
+    )
+    data = encode(Message(detections=detections), padding=0xA5)
+    steps = mock.Mock(wraps=elements.walk)
+    monkeypatch.setattr(elements, 'walk', steps)
+    assert Detections(data).class_ids() == [d.results[0].class_id for d in detections]
+    # Eight to learn which lengths differ, four for the lengths at even and at odd words.
+    assert steps.call_count <= 2 + 8 + 2 * 4
+
+
+def test_detections_of_which_some_have_no_hypothesis_are_walked_over_once(monkeypatch) -> None:
+    detections = tuple(
+        Detection(frame_id=f'{i}', results=(Hypothesis(),) * (i % 2)) for i in range(300)
+    )
+    steps = mock.Mock(wraps=elements.walk)
+    monkeypatch.setattr(elements, 'walk', steps)
+    assert len(Detections(encode(Message(detections=detections)))) == 300
+    assert steps.call_count == 2 + 8 + 300
+
+
 @pytest.mark.parametrize(
     'odd_one',
     [
