@@ -8,7 +8,6 @@ from launch import LaunchDescription
 from obbhbb_ros.launching import ArgumentValue
 from obbhbb_ros.launching import argument
 from obbhbb_ros.launching import common_arguments
-from obbhbb_ros.launching import log_unused_files
 from obbhbb_ros.launching import node
 from obbhbb_ros.launching import nodes
 from obbhbb_ros.launching import parameters_in
@@ -70,11 +69,15 @@ def generate_launch_description() -> LaunchDescription:
 
 def _nodes(value: ArgumentValue) -> list[Any]:
     """Describe the chosen nodes."""
-    chosen = value('nodes').replace(',', ' ').split()
+    chosen = _chosen(value)
     if unknown := sorted({*chosen} - {*NODES}):
         raise ValueError(f'nodes: {", ".join(unknown)} is none of {", ".join(NODES)}')
-    files = {name: _files(value, name) for name in chosen}
-    return [*log_unused_files(value('namespace'), files), *(_node(value, name) for name in chosen)]
+    return [_node(value, name) for name in chosen]
+
+
+def _chosen(value: ArgumentValue) -> list[str]:
+    """List the chosen nodes."""
+    return value('nodes').replace(',', ' ').split()
 
 
 def _node(value: ArgumentValue, name: str) -> Any:
@@ -85,7 +88,14 @@ def _node(value: ArgumentValue, name: str) -> Any:
 
 def _files(value: ArgumentValue, name: str) -> list[str]:
     """List the parameter files of a node; a later one wins."""
-    return list(filter(None, (value(f'{name}_params_file'), value('params_file'))))
+    shared = value('params_file') if name in _readers(value) else ''
+    return list(filter(None, (value(f'{name}_params_file'), shared)))
+
+
+def _readers(value: ArgumentValue) -> list[str]:
+    """List the nodes for which the common file is: all if it suits none, so that they say so."""
+    file, namespace, chosen = value('params_file'), value('namespace'), _chosen(value)
+    return [name for name in chosen if parameters_in(file, namespace, name)] or chosen
 
 
 def _paths(value: ArgumentValue, name: str) -> list[dict[str, str]]:

@@ -4,7 +4,6 @@
 from launch import LaunchDescription
 from obbhbb_ros.launching import argument
 from obbhbb_ros.launching import common_arguments
-from obbhbb_ros.launching import log_unused_files
 from obbhbb_ros.launching import node
 from obbhbb_ros.launching import nodes
 from obbhbb_ros.launching import params_file
@@ -22,7 +21,6 @@ def generate_launch_description() -> LaunchDescription:
             *common_arguments(TOPICS),
             nodes(
                 lambda value: [
-                    *log_unused_files(value('namespace'), {value('name'): [value('params_file')]}),
                     node(
                         value,
                         'obb_to_hbb',

@@ -13,7 +13,6 @@ from typing import TypeAlias
 
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument
-from launch.actions import LogInfo
 from launch.actions import OpaqueFunction
 from launch.actions import SetEnvironmentVariable
 from launch.conditions import IfCondition
@@ -69,22 +68,6 @@ def parameters_in(file: str, namespace: str, node: str) -> Mapping[str, Any]:
         return read_values(Path(file), f'{namespace.strip("/")}/{node}')
     except (OSError, ValueError):
         return {}
-
-
-def log_unused_files(namespace: str, files: Mapping[str, Sequence[str]]) -> list[Any]:
-    """Log the parameter files, listed by node, that have no parameters for any of their nodes."""
-    readers: dict[str, list[str]] = {}
-    for node, paths in files.items():
-        for path in paths:
-            readers.setdefault(path, []).append(node)
-    return [
-        LogInfo(
-            msg=f'{path}: no parameters for '
-            + ', '.join(f'/{namespace.strip("/")}/{node}'.replace('//', '/') for node in nodes)
-        )
-        for path, nodes in readers.items()
-        if not any(parameters_in(path, namespace, node) for node in nodes)
-    ]
 
 
 def state_file(value: ArgumentValue, name: str) -> list[dict[str, str]]:

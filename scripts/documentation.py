@@ -20,26 +20,14 @@ from obbhbb_ros.geometry.converter import PAPER_RULE
 from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.limits import Choices
-from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
+from obbhbb_ros.settings.all_nodes import NODE_TABLES
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
-from obbhbb_ros.settings.downlink import DOWNLINK
-from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
-from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.parameter_file import yaml_value
 from obbhbb_ros.settings.parameters import Parameter
-from obbhbb_ros.settings.parameters import ParameterTable
-from obbhbb_ros.settings.play_detections import PLAY_DETECTIONS
 from obbhbb_ros.text_tables import markdown_table
 
 # A parameter that the rule leaves open keeps its default.
 PAPER = {name: value for name, value in asdict(PAPER_RULE).items() if value is not None}
-NODE_TABLES: dict[str, ParameterTable[Any]] = {
-    'obb_to_hbb': OBB_TO_HBB,
-    'chip_extractor': CHIP_EXTRACTOR,
-    'downlink': DOWNLINK,
-    'overlay': OVERLAY,
-    'play_detections': PLAY_DETECTIONS,
-}
 # Name, node, title, and the values that differ from the defaults.
 PARAMETER_FILES: tuple[tuple[str, str, str, Mapping[str, Any]], ...] = (
     ('obb_to_hbb', 'obb_to_hbb', 'the recommended settings.', {}),

@@ -21,9 +21,21 @@ def parameters_given(node: Node) -> dict[str, Parameter]:
     return dict(node._parameter_overrides)
 
 
+def forget_given(node: Node, name: str) -> None:
+    """Declare a parameter with its default, whatever a YAML file or the command line gave."""
+    del node._parameter_overrides[name]
+
+
 def state_label(node: LifecycleNode) -> str:
     """Return the lifecycle state of a node."""
     return str(node._state_machine.current_state[1])
+
+
+def replace_service_callback(node: Node, service: str, callback: Callable[[Any, Any], Any]) -> None:
+    """Make a function answer the requests to a service of a node, given its name in the node."""
+    name = f'{node.get_fully_qualified_name().rstrip("/")}/{service}'
+    (existing,) = (made for made in node.services if made.service_name == name)
+    existing.callback = callback
 
 
 def refuse_impossible_transitions(node: LifecycleNode, log: Callable[[str], object]) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable
 from collections.abc import Mapping
@@ -20,6 +21,7 @@ from rclpy.parameter import Parameter as RosParameter
 from obbhbb_ros.limits import Choices
 from obbhbb_ros.limits import Range
 from obbhbb_ros.nodes import internals
+from obbhbb_ros.nodes.parameter_requests import ParameterRequests
 from obbhbb_ros.settings.common import LOCK
 from obbhbb_ros.settings.parameter_file import Values
 from obbhbb_ros.settings.parameters import Parameter
@@ -36,7 +38,10 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
     described = ParameterDescriptor(
         name=parameter.name, description=text, read_only=parameter.read_only
     )
-    if isinstance(limits, Range):
+    if isinstance(limits, Range) and math.isinf(limits.high):
+        # rqt_reconfigure shows no parameter from the first infinite range on.
+        described.description += f' Range: {limits}.'
+    elif isinstance(limits, Range):
         kind = float if isinstance(parameter.default, float) else int
         message = FloatingPointRange if kind is float else IntegerRange
         ranges = described.floating_point_range if kind is float else described.integer_range
@@ -48,6 +53,24 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
 def _plain(value: Any) -> Any:
     """Return a parameter's value as a plain type; a service sends a list of numbers as an array."""
     return value.tolist() if isinstance(value, array) else value
+
+
+_TYPES = {
+    'double': RosParameter.Type.DOUBLE,
+    'double[]': RosParameter.Type.DOUBLE_ARRAY,
+    'string[]': RosParameter.Type.STRING_ARRAY,
+}
+
+
+def _adapted(given: RosParameter, row: Parameter) -> RosParameter:
+    """Return a parameter as its row has it; ValueError if it is a list of another type."""
+    value = _plain(given.value)
+    adapted = row.adapted(value)
+    if isinstance(adapted, list):
+        row.check(adapted)
+    if adapted is value:
+        return given
+    return RosParameter(given.name, _TYPES[row.type_name], adapted)
 
 
 class LiveParameters(Generic[SettingsT]):
@@ -88,14 +111,16 @@ class LiveParameters(Generic[SettingsT]):
         self.on_change: Callable[[], object] = lambda: None
         self._classes_at_start = table.mentioned_classes(overrides)
         self._declared: dict[str, Parameter] = {}
-        self._declare(table.parameters())
+        self._declare_with(overrides)
         self._follow_classes()
         values = self.values()
+        self._check(values)
         self.settings = table.settings(values)
         self._locked = bool(values.get(LOCK.name, False))
         self.unknown = sorted(name for name in overrides if not node.has_parameter(name))
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
+        ParameterRequests(node, self._adapted, self._set)
 
     def values(self) -> Values:
         """Return all values in force by name."""
@@ -110,6 +135,54 @@ class LiveParameters(Generic[SettingsT]):
             if name in always or value != self._declared[name].default
         }
 
+    def _declare_with(self, overrides: Mapping[str, RosParameter]) -> None:
+        """Declare the parameters of the table, with the values set at start."""
+        rows = self._table.parameters()
+        lists = {name for name, row in rows.items() if isinstance(row.default, list)}
+        # rclpy knows no type for an empty list, and cannot declare it.
+        empty = [name for name in lists & overrides.keys() if overrides[name].value is None]
+        for name in lists & overrides.keys() - {*empty}:
+            rows[name].check(_plain(overrides[name].value))
+        for name in empty:
+            internals.forget_given(self._node, name)
+        self._declare(rows)
+        self._node.set_parameters([RosParameter(n, _TYPES[rows[n].type_name], []) for n in empty])
+
+    def _adapted(self, change: RosParameter) -> RosParameter:
+        """Return a change with the type that the table has for it."""
+        row = self._declared.get(change.name)
+        return change if row is None else _adapted(change, row)
+
+    def _set(self, changes: Sequence[RosParameter]) -> SetParametersResult:
+        """Set parameters as a whole, among them those of classes that are new in `class_ids`."""
+        proposed = {change.name: _plain(change.value) for change in changes}
+        if 'class_ids' not in self._declared.keys() & proposed.keys():
+            return self._set_declared(changes)
+        self._declare_classes(self._table.class_ids(proposed))
+        try:
+            return self._set_declared(changes)
+        finally:
+            self._follow_classes()
+
+    def _set_declared(self, changes: Sequence[RosParameter]) -> SetParametersResult:
+        """Set parameters as a whole; name those that do not exist."""
+        unknown = [change.name for change in changes if not self._node.has_parameter(change.name)]
+        if unknown:
+            # rclpy does not name them.
+            reason = f'no such parameters: {", ".join(unknown)}'
+            return SetParametersResult(successful=False, reason=reason)
+        return self._node.set_parameters_atomically(list(changes))
+
+    def _check(self, values: Values) -> None:
+        """Check values, also of classes that are not in `class_ids`."""
+        for name, value in values.items():
+            self._declared[name].check(value)
+
+    def _declare_classes(self, class_ids: Sequence[str]) -> None:
+        """Declare the parameters of classes, where they are not."""
+        wanted = self._table.parameters(class_ids)
+        self._declare({name: wanted[name] for name in wanted if name not in self._declared})
+
     def _declare(self, parameters: Mapping[str, Parameter]) -> None:
         """Declare parameters; rclpy takes their values from those set at start."""
         rows = [(row.name, row.default, descriptor(row)) for row in parameters.values()]
@@ -123,13 +196,14 @@ class LiveParameters(Generic[SettingsT]):
         for name in self._declared.keys() - wanted.keys():
             del self._declared[name]
             self._node.undeclare_parameter(name)
-        self._declare({name: wanted[name] for name in wanted if name not in self._declared})
+        self._declare_classes(class_ids)
 
     def _proposed(self, changes: Sequence[RosParameter]) -> SettingsT:
         """Make settings of the values in force and some changes."""
         changed = {
             change.name: _plain(change.value) for change in changes if change.name in self._declared
         }
+        self._check(changed)
         return self._table.settings({**self.values(), **changed})
 
     def _validate(self, changes: Sequence[RosParameter]) -> SetParametersResult:

@@ -12,9 +12,9 @@ from rclpy.lifecycle import TransitionCallbackReturn
 
 from obbhbb_ros.errors import StartError
 from obbhbb_ros.nodes import internals
+from obbhbb_ros.nodes.given_parameters import report_unknown
 from obbhbb_ros.nodes.live_parameters import LiveParameters
 from obbhbb_ros.nodes.monitor import Monitor
-from obbhbb_ros.nodes.node_topics import OVERRIDE_PREFIX
 from obbhbb_ros.nodes.node_topics import NodeTopics
 from obbhbb_ros.nodes.parts import Part
 from obbhbb_ros.nodes.reporter import Reporter
@@ -66,9 +66,7 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
     ) -> None:
         super().__init__(name, **kwargs)
         self.parameters = LiveParameters[SettingsT](self, table)
-        unknown = [n for n in self.parameters.unknown if not n.startswith(OVERRIDE_PREFIX)]
-        if unknown:
-            self.get_logger().warning(f'unknown parameters, ignored: {", ".join(unknown)}')
+        report_unknown(self, self.parameters.unknown)
         self.monitor = Monitor(rates)
         self.reporter = Reporter(self, self.monitor, self.parameters.notable_values)
         self.topics = NodeTopics(self, self.reporter)

@@ -36,6 +36,7 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.image_files import find_images
 from obbhbb_ros.labels.image_files import load_image
 from obbhbb_ros.labels.image_labels import BowSource
+from obbhbb_ros.nodes.given_parameters import report_unknown
 from obbhbb_ros.nodes.live_parameters import LiveParameters
 from obbhbb_ros.nodes.node_topics import create_output
 from obbhbb_ros.nodes.node_topics import message_type
@@ -69,6 +70,7 @@ class PlayDetections(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__('play_detections', **kwargs)
         self._live_parameters = LiveParameters[PlayerSettings](self, PLAY_DETECTIONS)
+        report_unknown(self, self._live_parameters.unknown)
         settings = self._live_parameters.settings
         self._output_type = INPUT_TYPES[settings.output_type]
         self._skipped = 0

@@ -22,6 +22,7 @@ from obbhbb_ros.nodes.executor import ExpressExecutor
 from obbhbb_ros.nodes.executor import UnknownRclpyError
 from obbhbb_ros.nodes.failure import REASONS
 from obbhbb_ros.nodes.failure import cannot_start
+from obbhbb_ros.nodes.given_parameters import warn_of_unused_files
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.stop import RUNNING
 from obbhbb_ros.nodes.stop import STARTING
@@ -76,6 +77,7 @@ def run(
         return cannot_start(error)
     try:
         node = make_node()
+        warn_of_unused_files([node])
         supervision = Supervision([node] if isinstance(node, ManagedNode) else [])
         supervision.start_nodes()
     except (ParameterException, *REASONS) as error:

@@ -8,6 +8,8 @@ import math
 import re
 from collections.abc import Iterator
 from collections.abc import Mapping
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from typing import TypeAlias
@@ -46,15 +48,40 @@ def read_values(path: Path, node: str) -> Values:
     >>> read_values(Path('config/obb_to_hbb.yaml'), '/obb_to_hbb')['q']  # doctest: +SKIP
     3.0
     """
-    node = '/' + node.lstrip('/')
     values: Values = {}
-    for name, section in _sections(_document(path)):
-        pattern = re.escape(name).replace(r'/\*\*', '(/[^/]+)*').replace(r'\*', '[^/]+')
-        if re.fullmatch(pattern, node):
-            values.update(_flattened(_parameters(path, name, section)))
+    for _, section in _sections_for(path, node):
+        values.update(section)
     if not values:
-        raise ValueError(f'{path}: no parameters for {node}')
+        raise ValueError(f'{path}: no parameters for /{node.lstrip("/")}')
     return values
+
+
+def shared_names(path: Path, node: str) -> set[str]:
+    """
+    Collect the names of parameters that a file has for a node in sections for nodes of any name.
+
+    Such a section is `/**` or `/payload/*`. Raises the errors of `read_values`, except for a file
+    that has none.
+    """
+    sections = _sections_for(path, node)
+    return {name for pattern, section in sections if pattern.endswith('*') for name in section}
+
+
+def parameter_files(arguments: Sequence[str]) -> list[Path]:
+    """
+    List the parameter files on a command line.
+
+    Examples
+    --------
+    >>> parameter_files(['node', '--ros-args', '--params-file', 'a.yaml', '--', '--params-file'])
+    [PosixPath('a.yaml')]
+    """
+    files, is_for_ros = [], False
+    for argument, following in pairwise((*arguments, '')):
+        is_for_ros = argument == '--ros-args' or (is_for_ros and argument != '--')
+        if is_for_ros and argument == '--params-file':
+            files.append(Path(following))
+    return files
 
 
 def yaml_value(value: Any) -> str:
@@ -97,6 +124,14 @@ def _document(path: Path) -> Any:
         return yaml.load(path.read_text(encoding='utf-8'), Loader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f'{path}: {error}') from None
+
+
+def _sections_for(path: Path, node: str) -> Iterator[tuple[str, Values]]:
+    """Yield the pattern and the values of every section of a file whose pattern matches a node."""
+    for name, section in _sections(_document(path)):
+        pattern = re.escape(name).replace(r'/\*\*', '(/[^/]+)*').replace(r'\*', '[^/]+')
+        if re.fullmatch(pattern, '/' + node.lstrip('/')):
+            yield name, dict(_flattened(_parameters(path, name, section)))
 
 
 def _sections(content: Any, name: str = '') -> Iterator[tuple[str, Any]]:

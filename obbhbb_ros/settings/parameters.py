@@ -9,6 +9,7 @@ changes nothing.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from collections.abc import Collection
@@ -78,9 +79,39 @@ class Parameter:
             with the name of the parameter.
         """
         if not self._has_type(value):
-            raise ValueError(f'{self.name} must be a {self.type_name}, not {value!r}')
+            raise ValueError(
+                f'{self.name} must be a {self.type_name}, not {value!r}{self._advice(value)}'
+            )
         if self.limits is not None:
             self.limits.check(self.name, value)
+
+    def adapted(self, value: Any) -> Any:
+        """
+        Return a value as this parameter has it, where tools cannot write its type.
+
+        `ros2 param load` sends an empty list as one of booleans, and numbers without a decimal
+        point, such as `inf` and `1e-05`, as text.
+
+        Examples
+        --------
+        >>> Parameter('q', 3.0, 'Shape exponent.').adapted('inf')
+        inf
+        """
+        if isinstance(self.default, list) and value == []:
+            return []
+        if self.type_name in ('double', 'double[]') and isinstance(value, str):
+            try:
+                numbers = [float(text) for text in value.strip('[]').split(',')]
+            except ValueError:
+                return value
+            return numbers if isinstance(self.default, list) else numbers[0]
+        return value
+
+    def _advice(self, value: Any) -> str:
+        """Say how to write the elements of a list of strings that were read as something else."""
+        if not (self.type_name == 'string[]' and isinstance(value, list)):
+            return ''
+        return f': quote them: {json.dumps([str(element) for element in value])}'
 
     def _has_type(self, value: Value) -> bool:
         """Return whether a value has the type of the default; of a list, each of its elements."""

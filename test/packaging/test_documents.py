@@ -6,12 +6,12 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from documentation import NODE_TABLES
 from documentation import PAPER
 from documentation import documents
 
 import obbhbb_ros
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.settings.all_nodes import NODE_TABLES
 from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
 from obbhbb_ros.settings.downlink import DOWNLINK
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB

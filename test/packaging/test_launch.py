@@ -164,16 +164,20 @@ def test_each_namespace_has_folders_of_its_own_by_default(monkeypatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ('file', 'argument'),
-    [(CONVERTER, 'params_file'), (DOWNLINK, 'params_file'), (DOWNLINK, 'downlink_params_file')],
+    ('section', 'readers'),
+    [
+        ('/**', ('chip_extractor', 'downlink', 'obb_to_hbb')),
+        ('/payload/downlink', ('downlink',)),
+        ('/elsewhere/downlink', ('chip_extractor', 'downlink', 'obb_to_hbb')),
+    ],
 )
-def test_a_parameter_file_without_parameters_for_a_node_is_logged(
-    tmp_path: Path, file: Path, argument: str
+def test_the_common_file_goes_to_the_nodes_that_it_names_or_if_there_are_none_to_all(
+    tmp_path: Path, section: str, readers: tuple[str, ...]
 ) -> None:
-    file_without = tmp_path / 'params.yaml'
-    file_without.write_text('/elsewhere/downlink: {ros__parameters: {q: 2.0}}\n')
-    (line,) = launched(file, {argument: str(file_without), 'namespace': 'payload'}).logged
-    assert line.startswith(f'{file_without}: no parameters for /payload/')
+    file = tmp_path / 'params.yaml'
+    file.write_text(f'{section}: {{ros__parameters: {{autostart: true}}}}\n')
+    ran = launched(DOWNLINK, {'params_file': str(file), 'namespace': 'payload'}).started
+    assert [n.executable for n in ran if str(file) in n.values('--params-file')] == [*readers]
 
 
 @pytest.mark.parametrize('file', [CONVERTER, DOWNLINK], ids=lambda file: file.name)

@@ -18,7 +18,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
-from documentation import NODE_TABLES
 from launch_files import launched
 from outboxes import make_outbox
 from outboxes import make_spool
@@ -33,6 +32,7 @@ from obbhbb_ros.downlink.crops import LeftOut
 from obbhbb_ros.downlink.joiner import Unpaired
 from obbhbb_ros.geometry.boxes import Defect
 from obbhbb_ros.overlay.collector import NotDrawn
+from obbhbb_ros.settings.all_nodes import NODE_TABLES
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 ROOT = Path(__file__).parents[2]

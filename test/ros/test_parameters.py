@@ -9,12 +9,13 @@ from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Mapping
 from itertools import pairwise
+from math import inf
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from documentation import NODE_TABLES
 from harness import SERVICES
 from harness import Converter
 from harness import Node
@@ -22,7 +23,9 @@ from harness import Site
 from harness import parameters_of
 from harness import stamp_of
 from harness import values_of
+from rcl_interfaces.msg import Parameter as Message
 from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
 from ships import FloatArray
 from ships import axis_aligned
@@ -36,6 +39,7 @@ from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.limits import Choices
 from obbhbb_ros.limits import Range
+from obbhbb_ros.settings.all_nodes import NODE_TABLES
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.parameter_file import read_values
@@ -294,7 +298,7 @@ def test_an_infinite_q_gives_the_box_of_the_rectangle(node: Converter) -> None:
     ('name', 'value', 'wanted', 'got'),
     [
         ('q', 3, 'DOUBLE', 'INTEGER'),
-        ('s', '1.0', 'DOUBLE', 'STRING'),
+        ('s', 'wide', 'DOUBLE', 'STRING'),
         ('crop.max_count', 2.0, 'INTEGER', 'DOUBLE'),
         ('method', 1, 'STRING', 'INTEGER'),
         ('class_ids', 'ship', 'STRING_ARRAY', 'STRING'),
@@ -356,6 +360,86 @@ def test_an_unknown_parameter_is_refused(node: Converter) -> None:
     assert node.get('q') == [3.0]
 
 
+# What tools send ------------------------------------------------------------------------------
+
+
+def value_of(kind: int, **content: Any) -> ParameterValue:
+    return ParameterValue(type=kind, **content)
+
+
+AS_TOOLS_SEND = [
+    ('q', value_of(ParameterType.PARAMETER_STRING, string_value='inf'), inf),
+    ('crop.min_score', value_of(ParameterType.PARAMETER_STRING, string_value='1e-05'), 1e-5),
+    ('class_ids', value_of(ParameterType.PARAMETER_BOOL_ARRAY), []),
+    ('autostart', value_of(ParameterType.PARAMETER_BOOL, bool_value=True), True),
+]
+
+
+@pytest.mark.parametrize(('name', 'value', 'taken'), AS_TOOLS_SEND)
+def test_a_value_is_taken_as_param_load_sends_it(
+    node: Converter, name: str, value: ParameterValue, taken: Any
+) -> None:
+    parameters = [Message(name=name, value=value)]
+    for service in ('set_parameters', 'set_parameters_atomically'):
+        assert refusals(node, service, parameters) == ['']
+        assert node.get(name) == [taken]
+        node.reset()
+
+
+def refusals(node: Converter, service: str, parameters: list[Message]) -> list[str]:
+    """Set parameters by a service; return why they are refused, empty where they are not."""
+    response = node.call(service, SERVICES[service].Request(parameters=parameters))
+    results = response.results if service == 'set_parameters' else [response.result]
+    assert all(result.successful != bool(result.reason) for result in results)
+    return [result.reason for result in results]
+
+
+@pytest.mark.parametrize('kind', [0, 1, 2, 4, 5, 6, 7, 8, 9, 10, 255])
+@pytest.mark.parametrize('service', ['set_parameters', 'set_parameters_atomically'])
+def test_a_value_of_any_type_is_answered(node: Converter, service: str, kind: int) -> None:
+    parameters = [*parameters_of({'s': 0.9}), Message(name='q', value=value_of(kind))]
+    reasons = refusals(node, service, parameters)
+    assert reasons[-1]
+    is_known = kind <= ParameterType.PARAMETER_STRING_ARRAY
+    assert node.get('q', 's') == [3.0, 0.9 if is_known and service == 'set_parameters' else 1.0]
+
+
+@pytest.mark.parametrize('service', ['set_parameters', 'set_parameters_atomically'])
+def test_numbers_as_classes_are_refused_with_the_remedy(node: Converter, service: str) -> None:
+    (reason,) = refusals(node, service, parameters_of({'class_ids': [0, 8]}))
+    assert 'class_ids' in reason
+    assert 'quote them: ["0", "8"]' in reason
+
+
+def test_a_class_and_its_values_can_be_set_at_once(node: Converter) -> None:
+    node.set({'classes.tug.weight': 2.0, 'class_ids': ['tug'], 'classes.tug.q': 1.5})
+    assert node.get('classes.tug.q', 'classes.tug.weight') == [1.5, 2.0]
+    rejected = {'class_ids': ['tug', 'ferry'], 'classes.ferry.q': 0.5}
+    assert 'classes.ferry.q' in node.set_atomically(rejected).reason
+    assert node.get('class_ids', 'classes.tug.q') == [['tug'], 1.5]
+    assert 'classes.ferry.q' in node.set_atomically({'classes.ferry.q': 1.5}).reason
+
+
+@pytest.mark.parametrize(
+    ('executable', 'name'),
+    [('obb_to_hbb', 'class_ids'), ('overlay', 'layers'), ('downlink', 'outbox.levels')],
+)
+def test_an_empty_list_works_at_start_as_it_does_later(
+    site: Site, tmp_path: Path, executable: str, name: str
+) -> None:
+    file = tmp_path / 'empty.yaml'
+    file.write_text(f'/**: {{ros__parameters: {{{name}: []}}}}\n')
+    arguments = ['--params-file', str(file)]
+    if executable == 'downlink':
+        for folder in ('spool', 'outbox'):
+            arguments += ['-p', f'{folder}.path:={tmp_path / folder}']
+    with Node(site, executable) as node:
+        node.start(arguments)
+        assert node.get(name) == [[]]
+        node.set({name: node.get(name)[0]})
+        assert node.state() == 'active'
+
+
 # Descriptions for tools -----------------------------------------------------------------------
 
 TYPES = {
@@ -388,8 +472,12 @@ def test_every_parameter_is_described(node: Converter, spec: Any) -> None:
     assert description.read_only == spec.read_only
     ranges = [*description.floating_point_range, *description.integer_range]
     bounds = [(limits.from_value, limits.to_value) for limits in ranges]
-    expected = [(spec.limits.low, spec.limits.high)] if isinstance(spec.limits, Range) else []
-    assert bounds == expected
+    if isinstance(spec.limits, Range) and isfinite(spec.limits.high):
+        assert bounds == [(spec.limits.low, spec.limits.high)]
+    else:
+        # rqt_reconfigure shows nothing from the first infinite range on.
+        assert bounds == []
+        assert str(spec.limits) in description.description or not isinstance(spec.limits, Range)
 
 
 @pytest.mark.parametrize(

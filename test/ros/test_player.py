@@ -145,6 +145,7 @@ def played(play: Play, put: Put) -> dict[str, Player]:
         'folder': play(path=folder_of_labels(put)),
         'malformed': play(path=put('P1.txt', MALFORMED)),
         'harbour': play(),
+        'typo': play(frame='left'),
     }
     for player in players.values():
         assert player.finish() == 0
@@ -205,6 +206,10 @@ def test_without_a_path_the_harbour_is_played(played: dict[str, Player]) -> None
     assert len(message.detections) > 10
     (info,) = played['harbour'].infos
     assert (info.width, info.height) == HARBOUR_SIZE
+
+
+def test_a_parameter_that_does_not_exist_is_reported(played: dict[str, Player]) -> None:
+    assert 'unknown parameters, ignored: frame' in played['typo'].log
 
 
 def test_a_malformed_line_is_reported_by_file_and_line_and_the_rest_is_played(

@@ -109,6 +109,56 @@ def test_a_parameter_file_is_used_by_the_name_of_the_node(start: Start, tmp_path
     assert 'q' not in warning.partition('unknown parameters')[2].split(', ')
 
 
+@pytest.mark.parametrize(
+    ('content', 'remap'),
+    [
+        ('obb_to_hbb: {ros__parameters: {q: 2.0}}', '__ns:=/a'),
+        ('obb_to_hbb: {ros__parameters: {q: 2.0}}', '__node:=left_boxes'),
+        ('/*/obb_to_hbb: {ros__parameters: {q: 2.0}}', '__ns:=/a/b'),
+        ('chip_extractor: {ros__parameters: {quality: 90}}', '__ns:=/'),
+        ('', '__ns:=/'),
+    ],
+)
+def test_a_parameter_file_without_parameters_for_the_node_is_named(
+    site: Site, tmp_path: Path, content: str, remap: str
+) -> None:
+    file = tmp_path / 'flight.yaml'
+    file.write_text(content + '\n')
+    arguments = ['-r', remap, '--params-file', str(file)]
+    with site.start('obb_to_hbb', arguments=arguments) as process:
+        wait_until(lambda: 'no parameters for' in process.log)
+        (line,) = process.log.splitlines()
+    assert 'WARN' in line
+    assert f'{file}: no parameters for /' in line
+
+
+SHARED_YAML = """
+/**:
+  ros__parameters: {q: 2.0, codec: png, image_widht: 5, classes: {tug: {weight: 2.0}}}
+chip_extractor:
+  ros__parameters: {quality: 90, layers: [boxes]}
+"""
+
+
+def test_of_a_file_for_several_nodes_only_names_that_no_node_has_are_warned_of(
+    site: Site, tmp_path: Path
+) -> None:
+    file = tmp_path / 'shared.yaml'
+    file.write_text(SHARED_YAML)
+    with site.start('chip_extractor', arguments=['--params-file', str(file)]) as process:
+        wait_until(lambda: 'of other nodes' in process.log)
+        warning, info = process.log.splitlines()
+    assert warning.endswith('unknown parameters, ignored: image_widht, layers')
+    assert info.endswith('parameters of other nodes, ignored: classes.tug.weight, q')
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + TIMEOUT
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
 def test_topics_can_be_remapped(start: Start) -> None:
     arguments = []
     for topic in ('detections', 'boxes', 'crop_regions', 'camera_info'):
@@ -271,7 +321,7 @@ def test_a_node_with_nothing_to_do_does_next_to_nothing(start: Start) -> None:
 # What cannot start ----------------------------------------------------------------------------
 
 BAD_PARAMETERS = [
-    ({'q': 0.5}, ('q', '0.5', '1.0')),
+    ({'q': 0.5}, ('q', '0.5', '1 to inf')),
     ({'q': 3}, ('q', '3', 'DOUBLE', 'INTEGER')),
     ({'f': 0.0}, ('f', '0.0', 'above 0 and at most 2')),
     ({'s': float('nan')}, ('s', 'nan')),

@@ -9,10 +9,11 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-from documentation import NODE_TABLES
 from harness import Peer
 from harness import Site
 from sensor_msgs.msg import CompressedImage
+
+from obbhbb_ros.settings.all_nodes import NODE_TABLES
 
 # What it tests depends on rclpy, which is the same in all environments.
 pytestmark = pytest.mark.once
