@@ -448,6 +448,14 @@ class Node(Closing):
         self._diagnostics[:] = made_since()
         return self._diagnostics[0].status[0]
 
+    def warned(self, text: str) -> bool:
+        """Return whether diagnostics have reported a text at level WARN."""
+        return any(
+            text in status.message and status.level == DiagnosticStatus.WARN
+            for array in self.reports()
+            for status in array.status
+        )
+
     def counts(self) -> Counts:
         """Return the numbers in the next diagnostics."""
         return Counts(self.next_report())
@@ -581,14 +589,6 @@ class ChipNode(Node):
         self.images.publish(image_message(encoding, pixels, header))
         self.send_plan(regions, header)
         return header
-
-    def warned(self, text: str) -> bool:
-        """Return whether diagnostics have reported a text at level WARN."""
-        return any(
-            text in status.message and status.level == DiagnosticStatus.WARN
-            for array in self._diagnostics
-            for status in array.status
-        )
 
 
 class OverlayNode(Node):

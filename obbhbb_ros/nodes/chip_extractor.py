@@ -40,7 +40,7 @@ from obbhbb_ros.nodes.chip_topics import FrameTopics
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import TopicInput
 from obbhbb_ros.nodes.node_topics import reliable
-from obbhbb_ros.nodes.spool_report import facts_of
+from obbhbb_ros.nodes.spool_report import SpoolReport
 from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
 from obbhbb_ros.settings.chip_extractor import ChipSettings
@@ -121,6 +121,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._bucket = TokenBucket(self._budget, time.monotonic())
         self._chip_topics = ChipTopics(self.topics.output, ChipStamps())
         self._spool: SpoolWriter | None = None
+        self._spool_report: SpoolReport | None = None
         # Reliable: a large image travels in many pieces, and is lost with any of them. The pieces
         # also push small messages such as plans out of the middleware's buffers.
         images, plans = reliable(IMAGES_KEPT), reliable(PLANS_KEPT)
@@ -146,7 +147,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
         self._camera = LatestCameraInfo()
         path = self.parameters.settings.spool_path
-        self._spool = SpoolWriter(Path(path), self._warn_of_spool) if path else None
+        if path:
+            self._spool = SpoolWriter(Path(path), self._warn_of_spool)
+            self._spool_report = SpoolReport(self.reporter, self._spool)
 
     def deactivate(self) -> None:
         """Drop the images, plans and sources that wait for each other."""
@@ -157,7 +160,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         """Close the spool."""
         if self._spool is not None:
             self._spool.close()
-            self._spool = None
+            self._spool = self._spool_report = None
 
     def _facts(self) -> dict[str, str]:
         """Report what is waiting, the budget left, and the books of the spool."""
@@ -167,10 +170,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             'images_waiting': str(len(self._images.waiting)),
             'budget_available': f'{self._bucket.available(now):.0f}',
         }
-        if self._spool is not None:
+        if self._spool is not None and self._spool_report is not None:
             self._spool.catch_up()
             try:
-                facts.update(facts_of(self._spool.status()))
+                facts.update(self._spool_report.facts())
             except SpoolError as error:
                 self._warn_of_spool(str(error))
         return facts

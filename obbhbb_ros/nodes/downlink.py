@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
 from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Bool
 
+from obbhbb_ros.downlink.contact_watch import ContactWatch
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import reliable
 from obbhbb_ros.nodes.reporter import plain_yaml
-from obbhbb_ros.nodes.spool_report import facts_of
+from obbhbb_ros.nodes.spool_report import SpoolReport
 from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.settings.downlink import DOWNLINK
 from obbhbb_ros.settings.downlink import DownlinkSettings
@@ -44,8 +46,9 @@ class Downlink(ManagedNode[DownlinkSettings]):
         super().__init__('downlink', DOWNLINK, ('contacts_received',), **kwargs)
         self._worker: FeederThread | None = None
         self._books: SpoolConsole | None = None
-        self._contact = False
-        self.topics.input(
+        self._spool_report: SpoolReport | None = None
+        self._contact = ContactWatch()
+        self._contact_in = self.topics.input(
             Bool, 'contact', self._on_contact, qos=reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
         )
         self.parameters.on_change = self._steer
@@ -53,9 +56,10 @@ class Downlink(ManagedNode[DownlinkSettings]):
 
     def configure(self) -> None:
         """Open the spool, and start the thread that releases chips; so far there is no contact."""
-        self._contact = False
+        self._contact = ContactWatch()
         settings = self.parameters.settings
         self._books = SpoolConsole(Path(settings.spool_path), self._warn_of_spool)
+        self._spool_report = SpoolReport(self.reporter, self._books)
         self._worker = FeederThread(
             Path(settings.spool_path), Path(settings.outbox_path), settings.release
         )
@@ -75,13 +79,13 @@ class Downlink(ManagedNode[DownlinkSettings]):
             self._worker = None
         if self._books is not None:
             self._books.close()
-            self._books = None
+            self._books = self._spool_report = None
 
     def _steer(self) -> None:
         """Tell the thread which settings are in force and whether there is contact."""
         if self._worker is not None:
             settings = self.parameters.settings
-            has_contact = settings.always_in_contact or self._contact
+            has_contact = settings.always_in_contact or self._contact.is_contact
             self._worker.steer(settings.release, self.topics.is_active and has_contact)
 
     def destroy_node(self) -> None:
@@ -93,13 +97,35 @@ class Downlink(ManagedNode[DownlinkSettings]):
     def _on_contact(self, data: bytes) -> None:
         """Learn whether there is contact."""
         self.monitor.add('contacts_received')
-        self._contact = read_contact(data)
+        is_contact = read_contact(data)
+        if self._contact.is_lost:
+            self.get_logger().info(f'{self._contact_in.topic_name} is back')
+        self._contact.hear(is_contact, time.monotonic())
         self._steer()
+
+    def _watch_contact(self) -> None:
+        """End contact that is not renewed in time, and warn until the topic is heard again."""
+        settings, now = self.parameters.settings, time.monotonic()
+        is_ending = self._contact.expire(now, settings.contact_timeout)
+        if is_ending:
+            self._steer()
+        if not self._contact.is_lost or settings.always_in_contact:
+            return
+        text = (
+            f'contact lost: no message on {self._contact_in.topic_name} for '
+            f'{self._contact.silence(now):.0f} s, see contact_timeout'
+        )
+        if is_ending:
+            self.monitor.add('contacts_lost')
+            self.reporter.warn('contact lost', text)
+        else:
+            self.reporter.raise_level('contact lost', text)
 
     def _facts(self) -> dict[str, str]:
         """Report what is released, what stalls it, and the books of the spool."""
-        if self._worker is None or self._books is None:
+        if self._worker is None or self._spool_report is None:
             return {}
+        self._watch_contact()
         for text in self._worker.take_troubles():
             self._warn_of_spool(text)
         feeder = self._worker.feeder
@@ -109,11 +135,10 @@ class Downlink(ManagedNode[DownlinkSettings]):
             'budget_available': f'{feeder.available:.0f}',
         }
         try:
-            status = self._books.status()
+            facts.update(self._spool_report.facts())
         except SpoolError as error:
             self._warn_of_spool(str(error))
-            return facts
-        return {**facts, **facts_of(status)}
+        return facts
 
     def _warn_of_spool(self, text: str) -> None:
         """Report trouble with spool or outbox."""

@@ -57,7 +57,7 @@ class Reporter(Part):
         self.monitor = monitor
         self._node, self._log, self._parameters = node, node.get_logger(), parameters
         self._facts: list[Callable[[], Mapping[str, str]]] = []
-        self._trouble = ''
+        self._troubles: dict[str, str] = {}
         self._reminder, self._reminders_left = '', 0
         self._quiet_until: dict[str, float] = {}
         self._is_silent = False
@@ -70,11 +70,15 @@ class Reporter(Part):
 
     def warn(self, kind: str, text: str) -> None:
         """Warn in the next diagnostics and in the log, there at most every 5 s for each kind."""
-        self._trouble = text
+        self.raise_level(kind, text)
         now = time.monotonic()
         if now >= self._quiet_until.get(kind, now):
             self._quiet_until[kind] = now + _WARNING_PERIOD
             self._log.warning(text)
+
+    def raise_level(self, kind: str, text: str) -> None:
+        """Warn in the next diagnostics alone, of the last trouble of each kind."""
+        self._troubles[kind] = text
 
     def remind(self, text: str) -> None:
         """Warn in those of the next ten reports that have nothing else to warn of."""
@@ -119,7 +123,8 @@ class Reporter(Part):
 
     def _summary(self, state: str, input_timeout: float) -> tuple[bytes, str]:
         """Return level and message of a report: silence, or else trouble, or else the state."""
-        trouble, self._trouble = self._trouble, ''
+        trouble = '; '.join(self._troubles.values())
+        self._troubles.clear()
         if self._reminders_left:
             self._reminders_left -= 1
             trouble = trouble or self._reminder

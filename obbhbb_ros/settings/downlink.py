@@ -29,6 +29,7 @@ class DownlinkSettings:
     spool_path: str
     outbox_path: str
     always_in_contact: bool
+    contact_timeout: float
     release: ReleaseSettings
 
 
@@ -47,6 +48,7 @@ def _downlink_settings(values: Mapping[str, Any]) -> DownlinkSettings:
         spool_path=spool,
         outbox_path=outbox,
         always_in_contact=values['contact'] == 'always',
+        contact_timeout=values['contact_timeout'],
         release=ReleaseSettings(
             budget=settings_of(LinkSettings, values, 'budget.'),
             levels=tuple(levels),
@@ -64,6 +66,13 @@ DOWNLINK = ParameterTable(
             'always',
             'When chips are released: `always`, or while the topic `contact` is true.',
             Choices(('always', 'topic')),
+        ),
+        Parameter(
+            'contact_timeout',
+            0.0,
+            'With `contact: topic`, contact that no message renews for this many seconds counts as '
+            'lost. 0: it lasts until a message ends it.',
+            Range(0.0, 1e6),
         ),
         Parameter(
             'acknowledge',

@@ -75,6 +75,8 @@ class Status:
         Size of the catalogue in use.
     set_aside : int
         Damaged catalogues beside it.
+    least_value : float or None
+        Least value of the chips that wait, None if there are none; a full spool evicts these first.
     counts : mapping of str to int
         `planned`, `released`, `delivered`, `delivered_bytes`, and `evicted.<reason>`,
         `refused.<reason>`.
@@ -86,6 +88,7 @@ class Status:
     in_work: int
     file_bytes: int
     set_aside: int
+    least_value: float | None
     counts: Mapping[str, int]
 
     def total(self, kind: str) -> int:
@@ -136,6 +139,9 @@ class SpoolAccess:
                 in_work=number(rows, 'SELECT ifnull(sum(chips), 0) FROM frames'),
                 file_bytes=number(rows, 'PRAGMA page_count') * number(rows, 'PRAGMA page_size'),
                 set_aside=self._catalogue.set_aside,
+                least_value=rows.execute(
+                    'SELECT min(value) FROM chips WHERE state = ?', (ChipState.WAITING,)
+                ).fetchone()[0],
                 counts=dict(rows.execute('SELECT name, count FROM books').fetchall()),
             )
 

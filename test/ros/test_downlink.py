@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from faults.library import build
 from harness import ChipNode
 from harness import Converter
@@ -541,6 +542,67 @@ def test_a_smaller_quota_counts_from_the_next_frame_on(chain: Chain) -> None:
     assert left.count(0.9) == 300 or 0.1 not in left
 
 
+def test_a_full_spool_that_evicts_is_a_warning_while_it_lasts(chain: Chain) -> None:
+    node = chain.downlink(contact='topic')
+    chain.store([0.3] * 60)
+    chain.chips.wait(lambda: chain.books()['spool.waiting'] == 61, 'chips in the spool')
+    assert chain.books()['spool.least_value'] == 0.01
+    node.wait(lambda: node.counts()['spool.waiting'] == 61, 'the books of the other node')
+    chain.chips.set({'spool.max_bytes': 0.9 * chain.books()['spool.file_bytes']})
+    chain.store([0.9] * 20)
+    chain.chips.wait(lambda: chain.books()['spool.evicted.max_bytes'], 'eviction')
+    evicted = chain.books()['spool.evicted.max_bytes']
+    text = (
+        f'the spool is full: evicted {evicted:.0f} chips since the last report, {evicted:.0f} in '
+        'all; the least value that waits is 0.3; see spool.max_bytes of chip_extractor'
+    )
+    for witness in (chain.chips, node):
+        witness.wait_for_log('WARN', text)
+        witness.send_until(
+            lambda: chain.store([0.9] * 5),
+            lambda witness=witness: witness.warned('the spool is full: evicted '),
+            'the level',
+        )
+        witness.wait(
+            lambda witness=witness: witness.next_report().level == DiagnosticStatus.OK, 'the end'
+        )
+
+
+def test_contact_that_is_not_renewed_is_lost_and_comes_back(chain: Chain) -> None:
+    node = chain.downlink(contact='topic', contact_timeout=2.0)
+    with Peer(chain.site.context, chain.chips.namespace) as ground:
+        contact = ground.publisher(Bool, 'contact', LATCHED)
+        contact.publish(Bool(data=True))
+        node.wait(lambda: node.counts()['spool.delivered'] == 1, 'a release')
+        node.wait(lambda: node.counts()['contacts_lost'] == 1, 'the loss')
+        chain.store([0.5])
+        chain.chips.wait(lambda: chain.books()['spool.waiting'] == 1, 'a chip that waits')
+        report = node.next_report()
+        assert (report.level, values_of(report)['contact']) == (DiagnosticStatus.WARN, 'false')
+        assert 'contact lost: no message on ' in report.message
+        assert values_of(report)['stalled_by'] == 'no contact'
+        assert node.process.log.count('contact lost') == 1
+        contact.publish(Bool(data=True))
+        node.wait(lambda: node.counts()['spool.delivered'] == 2, 'the other release')
+        contact.publish(Bool(data=False))
+        node.wait(lambda: node.next_report().level == DiagnosticStatus.OK, 'the end')
+        node.wait_for_log('/contact is back')
+
+
+def test_after_a_kill_contact_is_heard_again(chain: Chain) -> None:
+    with Peer(chain.site.context, chain.chips.namespace) as ground:
+        contact = ground.node.create_publisher(Bool, 'contact', LATCHED)
+        contact.publish(Bool(data=True))
+        node = chain.downlink(contact='topic')
+        node.wait(lambda: node.counts()['spool.delivered'] == 1, 'a release')
+        node.process.send_signal(signal.SIGKILL)
+        assert node.process.wait() == -signal.SIGKILL
+        chain.store([0.5])
+        chain.chips.wait(lambda: chain.books()['spool.waiting'] == 1, 'a chip that waits')
+        node = chain.downlink(contact='topic')
+        node.wait(lambda: node.counts()['spool.delivered'] == 2, 'the release of the next run')
+
+
 def test_a_node_that_is_killed_in_the_middle_loses_nothing(chain: Chain) -> None:
     for _ in range(5):
         chain.store([0.5] * 40)
@@ -565,11 +627,12 @@ def test_a_node_that_is_killed_in_the_middle_loses_nothing(chain: Chain) -> None
 
 
 def test_every_key_of_the_downlink_node_is_explained(chain: Chain) -> None:
-    node = chain.downlink(contact='topic')
+    node = chain.downlink(contact='topic', contact_timeout=0.1)
     with Peer(chain.site.context, chain.chips.namespace) as ground:
         contact = ground.publisher(Bool, 'contact', LATCHED)
         contact.publish(Bool(data=True))
         node.wait(lambda: node.counts()['spool.delivered'], 'a delivery')
+        node.wait(lambda: node.counts()['contacts_lost'], 'lost contact')
         contact.publish(b'\0\1\0\0')
         node.wait(lambda: node.counts()['messages_unreadable'], 'an unreadable message')
     assert not unexplained(values_of(node.next_report()), 'downlink.md')
