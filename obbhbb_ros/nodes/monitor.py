@@ -68,5 +68,6 @@ class Monitor:
         if not self._latencies:
             return {}
         values = np.percentile(np.array(self._latencies) * 1e3, (50, 99, 100))
-        named = zip(('p50', 'p99', 'max'), values, strict=True)
-        return {f'latency_{name}_ms': f'{value:.3f}' for name, value in named}
+        # In full, so that they are found.
+        keys = ('latency_p50_ms', 'latency_p99_ms', 'latency_max_ms')
+        return {key: f'{value:.3f}' for key, value in zip(keys, values, strict=True)}
