@@ -17,7 +17,7 @@ from obbhbb_ros.study import tables
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.harbour import passing
 
-_DEMO_IMAGES = 8
+_DEMO_IMAGES = 16
 
 
 def add_demo_options(parser: ArgumentParser) -> None:

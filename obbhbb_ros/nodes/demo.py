@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -43,10 +44,11 @@ from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.stamp import nanoseconds_of
 
 OVERLAY_TOPIC = '/overlay/compressed'
+DIAGNOSTICS_TOPIC = '/diagnostics'
 
 _TIMEOUT = 20.0
 _AGAIN = 0.5
-_PERIOD = 0.25
+_PERIOD = 1.25
 # Pixels. Viewers refuse a camera info without a focal length.
 _FOCAL_LENGTH = 2000.0
 
@@ -68,7 +70,7 @@ _PER_CHIP = {
 _TYPES = {**_PER_FRAME, **_PER_LAYER, **_PER_CHIP}
 RECORDED_TOPICS = {
     topic: f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
-    for topic, kind in _TYPES.items()
+    for topic, kind in {**_TYPES, DIAGNOSTICS_TOPIC: DiagnosticArray}.items()
 }
 """Message type by topic of what `record_chain` records."""
 
@@ -147,8 +149,8 @@ def record_chain(frames: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> lis
     Returns
     -------
     list of Recorded
-        The messages sent, and those from `obb_to_hbb`, `chip_extractor` and `overlay`, in the order
-        of arrival. Every frame is complete.
+        The messages sent, those from `obb_to_hbb`, `chip_extractor` and `overlay`, and the
+        diagnostics of these nodes, in the order of arrival. Every frame is complete.
 
     Raises
     ------
@@ -166,12 +168,14 @@ def record_chain(frames: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> lis
             partial(camera.send, *frames[0]),
         )
         camera.frames.clear()
+        camera.reports.clear()
         for labels, pixels in frames:
             due = time.monotonic() + _PERIOD
             frame = camera.send(labels, pixels)
             chain.spin_until(partial(_is_complete, frame), 'complete frame')
             chain.spin_for(due - time.monotonic())
-    return sorted(itertools.chain.from_iterable(camera.frames.values()), key=attrgetter('time'))
+    messages = itertools.chain(camera.reports, *camera.frames.values())
+    return sorted(messages, key=attrgetter('time'))
 
 
 def last_overlay(messages: Sequence[Recorded]) -> bytes:
@@ -200,10 +204,13 @@ class _Camera:
     ----------
     frames : dict of int to list of Recorded
         The messages about each image by its stamp, in the order of the stamps.
+    reports : list of Recorded
+        The diagnostics of the nodes in the camera's namespace.
     """
 
     def __init__(self, node: Any) -> None:
         self.frames: dict[int, list[Recorded]] = {}
+        self.reports: list[Recorded] = []
         self._node = node
         self._publishers = {
             topic: node.create_publisher(kind, topic.strip('/'), 100)
@@ -212,6 +219,9 @@ class _Camera:
         for topic, kind in _TYPES.items():
             receive = partial(self._receive, topic)
             node.create_subscription(kind, topic.strip('/'), receive, 1000, raw=True)
+        node.create_subscription(
+            DiagnosticArray, DIAGNOSTICS_TOPIC, self._receive_report, 100, raw=True
+        )
 
     def send(self, labels: ImageLabels, pixels: NDArray[np.uint8]) -> list[Recorded]:
         """Publish an image with the present time as its stamp; return the list of its messages."""
@@ -232,6 +242,13 @@ class _Camera:
         image_stamp = max((taken for taken in self.frames if taken <= stamp), default=None)
         if image_stamp is not None:
             self.frames[image_stamp].append(message)
+
+    def _receive_report(self, data: bytes) -> None:
+        """Keep the diagnostics of the nodes in this namespace; the topic is that of all nodes."""
+        namespace = self._node.get_namespace().lstrip('/')
+        statuses = deserialize_message(data, DiagnosticArray).status
+        if all(status.name.startswith(f'{namespace}/') for status in statuses):
+            self.reports.append(Recorded(DIAGNOSTICS_TOPIC, time.time_ns(), bytes(data)))
 
 
 def _camera_info(header: Header, width: int, height: int) -> CameraInfo:

@@ -75,6 +75,7 @@ def test_the_carried_harbour_is_the_one_that_is_drawn() -> None:
     assert (carried.corners == drawn.corners).all()
     assert (carried.reference == drawn.reference).all()
     assert carried.class_ids == drawn.class_ids
+    assert (carried.scores == drawn.scores).all()
     assert all((a == b).all() for a, b in zip(carried.hulls, drawn.hulls, strict=True))
 
 

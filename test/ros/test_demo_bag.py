@@ -6,11 +6,14 @@ from __future__ import annotations
 import importlib
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from harness import Site
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
@@ -71,6 +74,7 @@ def test_the_bag_holds_the_whole_chain(recorded: Recording) -> None:
     found = {topic: len(messages) for topic, messages in by_topic(recorded).items()}
     images = found['/image']
     chips = found.pop('/chip/compressed')
+    assert found.pop('/diagnostics') > 1
     assert images > 1
     assert chips > images
     assert found == {
@@ -96,7 +100,7 @@ def test_all_of_a_frame_has_its_stamp(recorded: Recording) -> None:
     stamps = {
         topic: {data[4:12] for data in messages}
         for topic, messages in by_topic(recorded).items()
-        if not topic.startswith('/chip/')
+        if not topic.startswith(('/chip/', '/diagnostics'))
     }
     assert len(stamps['/image']) > 1
     assert all(each == stamps['/image'] for each in stamps.values())
@@ -111,13 +115,31 @@ def test_the_bag_can_be_read_with_its_own_definitions_alone(recorded: Recording)
     for schema, channel, message in recorded:
         assert (channel.message_encoding, schema.encoding) == ('cdr', 'ros2msg')
         read = stores[schema.id].deserialize_cdr(message.data, schema.name)
-        assert read.header.frame_id == 'camera'
+        assert channel.topic == '/diagnostics' or read.header.frame_id == 'camera'
 
 
 def test_the_times_in_the_bag_do_not_go_back(recorded: Recording) -> None:
     times = [message.log_time for _, _, message in recorded]
     assert times == sorted(times)
-    assert times[-1] > times[0]
+    assert (times[-1] - times[0]) / 1e9 > 18.0
+
+
+def test_the_bag_holds_the_diagnostics_of_its_nodes_alone(recorded: Recording) -> None:
+    reports = [
+        deserialize_message(data, DiagnosticArray) for data in by_topic(recorded)['/diagnostics']
+    ]
+    names = Counter(status.name.partition('/')[2] for each in reports for status in each.status)
+    assert set(names) == {'obb_to_hbb', 'chip_extractor', 'overlay'}
+    assert min(names.values()) > 10
+
+
+def test_the_scores_of_the_ships_differ(folder: Path, printed: str) -> None:
+    frames = list(read_labels(folder / 'frames' / 'labels.csv'))
+    for frame in frames:
+        assert 0.4 < frame.scores.min() < 0.7
+        assert 0.9 < frame.scores.max() <= 1.0
+        assert np.ptp(np.quantile(frame.scores, (0.25, 0.75))) > 0.05
+        assert (frame.scores == frames[0].scores).all()
 
 
 def test_the_type_hashes_in_the_bag_are_those_of_ros(
