@@ -12,7 +12,6 @@ What happens to a message: bytes and settings in, bytes and counts out, without 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -70,13 +69,13 @@ class ConversionOutcome(NamedTuple):
 
     Attributes
     ----------
-    counts : Counter of str
+    counts : dict of str to int
         By key of the diagnostics.
     complaints : dict of str
         What went wrong, by kind.
     """
 
-    counts: Counter[str]
+    counts: dict[str, int]
     complaints: dict[str, str]
 
 
@@ -116,13 +115,12 @@ def answer(
     wants_boxes = bool(outputs.boxes.wanted())
     wants_crops = (False, False) if wants_boxes else _crops_wanted(outputs)
     if not wants_boxes and not any(wants_crops):
-        return ConversionOutcome(Counter({'messages_without_subscriber': 1}), {})
+        return ConversionOutcome({'messages_without_subscriber': 1}, {})
     width = settings.image_size[0] or camera_size[0]
     height = settings.image_size[1] or camera_size[1]
     image_size = (width, height) if width and height else None
     if image_size is None and not settings.input_frame.is_image:
-        counts = Counter({'messages_without_image_size': 1})
-        return ConversionOutcome(counts, _no_size(['no boxes']))
+        return ConversionOutcome({'messages_without_image_size': 1}, _no_size(['no boxes']))
     batch = Batch(data, input_type, settings, image_size)
     if wants_boxes:
         outputs.boxes.publish(batch.boxes_message())
@@ -137,7 +135,7 @@ def answer(
             counts['messages_without_image_size'] = 1
             complaints = _no_size(missed)
     elif any(wants_crops):
-        counts.update(_publish_crops(batch, outputs, *wants_crops))
+        counts |= _publish_crops(batch, outputs, *wants_crops)
     if batch.complaint:
         complaints['invalid detections'] = batch.complaint
     return ConversionOutcome(counts, complaints)
@@ -158,7 +156,7 @@ def _no_size(consequences: list[str]) -> dict[str, str]:
 
 def _publish_crops(
     batch: Batch, outputs: Outputs, wants_sources: bool, wants_regions: bool
-) -> Counter[str]:
+) -> dict[str, int]:
     """Plan the crop regions, publish what is wanted, and count."""
     plan = batch.plan_crops()
     # The sources first, so that they are there when the regions are cut.
@@ -187,7 +185,7 @@ class Batch:
 
     Attributes
     ----------
-    counts : Counter of str
+    counts : dict of str to int
         How many detections there were, and how many of them could not be converted.
     complaint : str
         Which detections could not be converted and why; empty if all could.
@@ -224,11 +222,8 @@ class Batch:
         self._regular, self._defects = boxes.regular, boxes.defects
         if settings.clip_boxes and image_size:
             self._clip(image_size)
-        self.counts = Counter({'messages_converted': 1, 'detections_received': len(detections)})
-        self.complaint = ''
-        if not self._regular:
-            invalid, self.complaint = self._report_invalid()
-            self.counts.update(invalid)
+        self.counts = {'messages_converted': 1, 'detections_received': len(detections)}
+        self.complaint = '' if self._regular else self._count_invalid()
 
     def boxes_message(self) -> bytes:
         """Write the message with axis-aligned boxes in place of the oriented ones."""
@@ -281,9 +276,9 @@ class Batch:
         xywhr = np.array((*boxes.center.T, boxes.length, boxes.width, boxes.theta))
         return self._detections.ranked(rows, xywhr[:, rows], plan.values)
 
-    def crop_counts(self, plan: CropPlan) -> Counter[str]:
+    def crop_counts(self, plan: CropPlan) -> dict[str, int]:
         """Count the regions of a plan, and the boxes that have none."""
-        counts = Counter({'crops_planned': len(plan.regions), 'crop_pixels.planned': plan.pixels})
+        counts = {'crops_planned': len(plan.regions), 'crop_pixels.planned': plan.pixels}
         if plan.merged:
             counts['crops_merged_away'] = len(plan.sources) - len(plan.regions)
         for reason, count in plan.left_out.items():
@@ -306,31 +301,30 @@ class Batch:
         if None in settings.crop_rules:
             box_alone = np.array([rule is None for rule in settings.crop_rules])[self._rule_of]
             around[box_alone] = xyxy[box_alone]
-        return np.hstack(
-            (np.minimum(xyxy[:, :2], around[:, :2]), np.maximum(xyxy[:, 2:], around[:, 2:]))
-        )
+        low, high = np.minimum(xyxy[:, :2], around[:, :2]), np.maximum(xyxy[:, 2:], around[:, 2:])
+        return np.concatenate((low, high), axis=1)
 
     def _plan(self, xyxy: FloatArray) -> CropPlan:
         """Plan the crop regions of boxes."""
         if self._image_size is None:
             raise ValueError('crop regions need the size of the image')
-        settings, rule_of = self._settings, self._rule_of
-        weights = None if rule_of is None else settings.weights[rule_of]
-        min_scores = None if rule_of is None else settings.min_scores[rule_of]
-        scores = self._detections.scores()
+        settings, scores = self._settings, self._detections.scores()
+        if self._rule_of is None:
+            return plan_crops(xyxy, scores, self._image_size, settings.crop)
+        weights, min_scores = settings.weights[self._rule_of], settings.min_scores[self._rule_of]
         return plan_crops(xyxy, scores, self._image_size, settings.crop, weights, min_scores)
 
-    def _report_invalid(self) -> tuple[Counter[str], str]:
+    def _count_invalid(self) -> str:
         """Count the detections that cannot be converted by reason; say which is the first."""
         rows = np.flatnonzero(np.isnan(self._extents[:, 0]))
         if not rows.size:
-            return Counter(), ''
+            return ''
         # A box without a defect that has no extents overflowed.
         defects = np.maximum(self._defects[rows], np.uint8(Defect.NOT_FINITE))
         action = 'kept' if self._settings.keep_invalid else 'dropped'
-        kinds, counts = np.unique(defects, return_counts=True)
-        keys = (f'detections_{action}.{Defect(kind).name.lower()}' for kind in kinds)
-        return Counter(dict(zip(keys, counts.tolist(), strict=True))), (
+        for defect, count in zip(*np.unique(defects, return_counts=True), strict=True):
+            self.counts[f'detections_{action}.{Defect(defect).name.lower()}'] = int(count)
+        return (
             f'{action} {len(rows)} of {len(self._boxes)} detections at stamp '
             f'{stamp_text(self._detections.stamp)}: index {rows[0]} is '
             f'{Defect(defects[0]).name.lower()}'

@@ -305,7 +305,7 @@ class _Answer(NamedTuple):
     """What the node would send for a message, by output, with its counts and complaints."""
 
     messages: dict[int, bytes]
-    counts: Counter[str]
+    counts: dict[str, int]
     complaints: dict[str, str]
 
 
@@ -320,8 +320,8 @@ def answers_to(
         try:
             outcome = answer(data, INPUT_TYPES[input_type], settings, camera_size, outputs)
         except WireError as error:
-            counts = Counter({'messages_unreadable': 1})
-            answers.append(_Answer({}, counts, {UNREADABLE: f'cannot be read: {error}'}))
+            complaints = {UNREADABLE: f'cannot be read: {error}'}
+            answers.append(_Answer({}, {'messages_unreadable': 1}, complaints))
         else:
             answers.append(_Answer(messages, outcome.counts, outcome.complaints))
     return answers

@@ -76,7 +76,7 @@ class ObbToHbb(ManagedNode[ConversionSettings]):
         settings = self.parameters.settings
         outcome = answer(data, self._input_type, settings, self._camera_size, self._answers)
         self.monitor.counts.update(outcome.counts)
-        if outcome.counts['messages_without_subscriber']:
+        if 'messages_without_subscriber' in outcome.counts:
             return
         for kind, text in outcome.complaints.items():
             self.reporter.warn(kind, f'{self._detections.topic_name}: {text}')

@@ -54,6 +54,8 @@ class Buffer:
     ----------
     order : str
         Byte order, '<' or '>', as `struct` writes it.
+    body : memoryview of bytes
+        The message without its encapsulation header.
     size : int
         Bytes of the body.
     lengths : memoryview of uint32
@@ -71,8 +73,8 @@ class Buffer:
         if order is None or len(header) < _ENCAPSULATION:
             raise WireError(f'encapsulation {header.hex()} is not plain CDR')
         self.order = order
-        self._body, self.size = self._hold(memoryview(data)[_ENCAPSULATION:])
-        words = np.frombuffer(self._body, _WORD[order], self.size // 4)
+        self.body, self.size = self._hold(memoryview(data)[_ENCAPSULATION:])
+        words = np.frombuffer(self.body, _WORD[order], self.size // 4)
         # A memoryview gives single numbers in a third of the time that an array takes.
         self.lengths: memoryview = words.astype(_WORD['<'], copy=False).data
 
@@ -88,12 +90,12 @@ class Buffer:
 
     def numbers(self, place: int, codes: str) -> tuple[Any, ...]:
         """Read numbers, whose types are given as `struct` does."""
-        return struct.unpack_from(self.order + codes, self._body, place)
+        return struct.unpack_from(self.order + codes, self.body, place)
 
     def content(self, place: int) -> memoryview:
         """Return the bytes that follow a length: a string with its closing zero, or a uint8[]."""
         start = place + 4
-        return self._body[start : start + self.lengths[place >> 2]]
+        return self.body[start : start + self.lengths[place >> 2]]
 
     def text(self, place: int) -> str:
         """Read a string; bytes that are not UTF-8 are escaped."""
@@ -140,8 +142,7 @@ class EditableBuffer(Buffer):
     def _hold(self, body: memoryview) -> tuple[memoryview, int]:
         """Copy the body, so that it starts at a multiple of eight bytes, and ends at one."""
         size = len(body) + self._room
-        copy = bytearray(size + (-size & 7) + 8)
-        copy[: len(body)] = body
+        copy = bytearray().join((body, bytes(self._room + (-size & 7) + 8)))
         self.words: Words = np.frombuffer(copy, _WORD['<'])
         return memoryview(copy), size
 
@@ -155,7 +156,7 @@ class EditableBuffer(Buffer):
     def clear(self, gaps: Iterable[tuple[int, int]]) -> None:
         """Write zeros over gaps within the buffer, given as pairs of start and end."""
         for start, end in gaps:
-            self._body[start:end] = bytes(end - start)
+            self.body[start:end] = bytes(end - start)
 
     def clear_all(self, starts: IntArray, ends: IntArray) -> None:
         """Write zeros over gaps of up to seven bytes, which end at multiples of four."""
@@ -164,4 +165,4 @@ class EditableBuffer(Buffer):
 
     def message(self, end: int) -> bytes:
         """Return the serialized message, little-endian, whose content ends at a place."""
-        return b''.join((LITTLE_ENDIAN, self._body[:end]))
+        return b''.join((LITTLE_ENDIAN, self.body[:end]))

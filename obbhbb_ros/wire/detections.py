@@ -270,8 +270,8 @@ class Detections:
 
     def _writer(self, count: int, header: bytes = b'') -> _DetectionWriter:
         """Start a message of some detections, by default with the header of this one."""
-        raw = memoryview(self._buffer.words.data).cast('B')
-        return _DetectionWriter(raw, header or raw[: 4 * self._index.header_words], count)
+        body = self._buffer.body
+        return _DetectionWriter(body, header or body[: 4 * self._index.header_words], count)
 
     def _copied(self, rows: IntArray) -> bytes:
         """Return the message with some of its detections, as they are now."""
@@ -329,7 +329,7 @@ class Detections:
         fields_end[rows] = classes_at + self._buffer.words[classes_at >> 2] + 7 & -4
         first[rows] = places(Field.SCORE)[firsts[rows]]
         ends = np.asarray(self._index.ends, np.int64)
-        return np.stack(
+        return np.array(
             (places(Field.START), results, fields_end, first, box, places(Field.ID), ends)
         )
 
@@ -374,7 +374,7 @@ class _DetectionWriter:
         self._end += int((before + gaps + behind).sum())
         self._filling = int(end[-1] - unfilled[-1])
         moved = gaps != first - fields_end
-        zeros = np.full_like(start, len(self._source) - 8)
+        zeros = np.full(len(start), len(self._source) - 8)
         starts = np.array((start, zeros, first)).T
         stops = np.array(
             (np.where(moved, fields_end, end), zeros + gaps * moved, np.where(moved, end, first))

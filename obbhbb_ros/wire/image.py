@@ -70,16 +70,9 @@ def read_image(data: bytes) -> WireImage:
     height, width = buffer.numbers(places['height'], '2I')
     (step,) = buffer.numbers(places['step'], 'I')
     (is_bigendian,) = buffer.numbers(places['is_bigendian'], '?')
-    return WireImage(
-        stamp=buffer.stamp,
-        frame_id=buffer.text(places['header.frame_id']),
-        encoding=buffer.text(places['encoding']),
-        width=width,
-        height=height,
-        step=step,
-        is_bigendian=is_bigendian,
-        data=buffer.content(places['data']),
-    )
+    frame_id, encoding = (buffer.text(places[path]) for path in ('header.frame_id', 'encoding'))
+    pixels = buffer.content(places['data'])
+    return WireImage(buffer.stamp, frame_id, encoding, width, height, step, is_bigendian, pixels)
 
 
 def read_image_size(data: bytes) -> tuple[int, int]:
