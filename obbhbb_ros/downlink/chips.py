@@ -13,10 +13,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from obbhbb_ros.downlink.pixel_views import YUV_LAYOUTS
+from obbhbb_ros.downlink.pixel_views import BayerView
+from obbhbb_ros.downlink.pixel_views import YuvLayout
+from obbhbb_ros.downlink.pixel_views import YuvView
 from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Choices
@@ -82,13 +87,27 @@ PIXEL_FORMATS: dict[str, PixelFormat] = {
     'bgr8': PixelFormat((2, 1, 0), 8),
     'rgba8': PixelFormat((0, 1, 2, 3), 8),
     'bgra8': PixelFormat((2, 1, 0, 3), 8),
+    # OpenCV's names, which say nothing of colours; its order is blue, green, red.
+    '8UC1': PixelFormat((0,), 8),
+    '16UC1': PixelFormat((0,), 16),
+    '8UC3': PixelFormat((2, 1, 0), 8),
+    '8UC4': PixelFormat((2, 1, 0, 3), 8),
     **{
         f'bayer_{pattern}{depth}': PixelFormat((0,), depth, bayer=True)
         for pattern in ('rggb', 'bggr', 'gbrg', 'grbg')
         for depth in (8, 16)
     },
 }
-"""Supported values of `sensor_msgs/Image.encoding`."""
+"""Encodings of `sensor_msgs/Image` whose pixels are cut as they are."""
+ENCODINGS = (*PIXEL_FORMATS, *YUV_LAYOUTS)
+"""All supported encodings; YUV is converted to red, green and blue."""
+
+_RGB = PixelFormat((0, 1, 2), 8)
+_DEEP_COLORS = ('rgb16', 'bgr16', 'rgba16', 'bgra16', '16UC3', '16UC4')
+_DEEP_REASON = 'has several channels of 16 bits, which no encoder of Pillow holds'
+
+ImageView: TypeAlias = NDArray[Any] | YuvView | BayerView
+"""The pixels of an image without a copy."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +154,10 @@ class CodecSettings(CheckedSettings):
     lossless: bool = setting(
         False, 'Encode webp and jpeg2000 without loss. png is always lossless, jpeg never.'
     )
+    develop: bool = setting(
+        False,
+        'Develop chips of 8-bit Bayer images to colours, bilinear. If false, they stay mosaics.',
+    )
 
     def __post_init__(self) -> None:
         """Check every value and their combination."""
@@ -148,20 +171,38 @@ class CodecSettings(CheckedSettings):
         return self.lossless or not CODECS[self.codec].lossy
 
 
-def pixel_format(encoding: str, codec: str) -> PixelFormat:
+def pixel_format(encoding: str, codec: str, develop: bool = False) -> PixelFormat:
     """
-    Look up the pixel format of an encoding; ChipError if the codec does not support it.
+    Look up the pixel format of the chips of an encoding.
+
+    Parameters
+    ----------
+    encoding : str
+        As in `sensor_msgs/Image`.
+    codec : str
+        Name of the codec.
+    develop : bool
+        Whether Bayer mosaics are developed.
+
+    Raises
+    ------
+    ChipError
+        If the encoding is not supported, or not by the codec.
 
     Examples
     --------
     >>> pixel_format('bgr8', 'jpeg').channels
     (2, 1, 0)
     """
-    layout = PIXEL_FORMATS.get(encoding)
-    if layout is None:
-        supported = ', '.join(PIXEL_FORMATS)
+    if encoding in _DEEP_COLORS:
+        raise ChipError(f'{encoding} {_DEEP_REASON}')
+    if encoding not in ENCODINGS:
+        supported = ', '.join(ENCODINGS)
         raise ChipError(f'images of encoding {encoding!r} cannot be cut, only {supported}')
+    layout = _layout(encoding, develop)
     depth = layout.depth
+    if depth == 16 and len(layout.channels) > 1:
+        raise ChipError(f'{encoding}, developed, {_DEEP_REASON}')
     if depth not in CODECS[codec].depths:
         able = ', '.join(c.name for c in CODECS.values() if depth in c.depths)
         raise ChipError(
@@ -170,29 +211,89 @@ def pixel_format(encoding: str, codec: str) -> PixelFormat:
     return layout
 
 
-def view_of(image: WireImage) -> NDArray[Any]:
-    """
-    View the pixels of an image without a copy, shape (height, width, channels).
+def _layout(encoding: str, develop: bool) -> PixelFormat:
+    """Return the pixel format of the chips of a supported encoding."""
+    layout = PIXEL_FORMATS.get(encoding, _RGB)
+    return PixelFormat((0, 1, 2), layout.depth) if develop and layout.bayer else layout
 
-    Bytes and channels keep the order of the image. Raises ChipError if its size, step and data do
-    not match.
+
+def view_of(image: WireImage, develop: bool = False) -> ImageView:
     """
+    View the pixels of an image without a copy.
+
+    Parameters
+    ----------
+    image : WireImage
+        The image, with a supported encoding.
+    develop : bool
+        Whether a Bayer mosaic is developed, which must have 8 bits.
+
+    Returns
+    -------
+    ndarray, YuvView or BayerView, of shape (height, width, channels)
+        Bytes and channels of an array keep the order of the image.
+
+    Raises
+    ------
+    ChipError
+        If size, step and data of the image do not match.
+    """
+    if not (image.width and image.height):
+        raise ChipError(f'the image is empty: {image.width} x {image.height} pixels')
+    yuv = YUV_LAYOUTS.get(image.encoding)
+    if yuv is not None:
+        return _yuv_view(image, yuv)
     layout = PIXEL_FORMATS[image.encoding]
     size = layout.depth // 8
     row = image.width * len(layout.channels) * size
-    if not (image.width and image.height):
-        raise ChipError(f'the image is empty: {image.width} x {image.height} pixels')
-    if image.step < row:
-        raise ChipError(f'step is {image.step}, but {image.width} pixels need {row} bytes')
-    needed = image.step * (image.height - 1) + row
-    if len(image.data) < needed:
-        raise ChipError(f'data has {len(image.data)} bytes, but the image needs {needed}')
-    return np.ndarray(
+    _require(image, row, image.step * (image.height - 1) + row)
+    pixels = np.ndarray(
         (image.height, image.width, len(layout.channels)),
         f'{">" if image.is_bigendian else "<"}u{size}',
         image.data,
         strides=(image.step, len(layout.channels) * size, size),
     )
+    if develop and layout.bayer:
+        return BayerView(pixels[..., 0], image.encoding[len('bayer_') :][:4])
+    return pixels
+
+
+def _yuv_view(image: WireImage, layout: YuvLayout) -> YuvView:
+    """View an image in YUV; ChipError if size, step and data do not match."""
+    width, height = image.width // layout.cell[0], image.height // layout.cell[1]
+    if (width * layout.cell[0], height * layout.cell[1]) != (image.width, image.height):
+        raise ChipError(
+            f'{image.encoding} needs whole cells of {layout.cell[0]} x {layout.cell[1]} pixels, '
+            f'and the image has {image.width} x {image.height}'
+        )
+    # In one plane a cell has two samples of luma, one of U and one of V.
+    chroma_row = width * (2 if layout.is_planar else 4)
+    pitch = image.step * (2 // layout.cell[0]) if layout.is_planar else image.step
+    start = image.step * image.height if layout.is_planar else 0
+    _require(
+        image,
+        image.width if layout.is_planar else chroma_row,
+        start + pitch * (height - 1) + chroma_row,
+    )
+
+    def plane(shape: tuple[int, int], offset: int, strides: tuple[int, int]) -> NDArray[np.uint8]:
+        return np.ndarray(shape, np.uint8, image.data, offset, strides)
+
+    pixel = 1 if layout.is_planar else 2
+    return YuvView(
+        plane((image.height, image.width), layout.luma, (image.step, pixel)),
+        plane((height, width), start + layout.u, (pitch, 2 * pixel)),
+        plane((height, width), start + layout.v, (pitch, 2 * pixel)),
+        layout.cell,
+    )
+
+
+def _require(image: WireImage, row: int, needed: int) -> None:
+    """Raise ChipError if step or data of an image are too short, in bytes."""
+    if image.step < row:
+        raise ChipError(f'step is {image.step}, but {image.width} pixels need {row} bytes')
+    if len(image.data) < needed:
+        raise ChipError(f'data has {len(image.data)} bytes, but the image needs {needed}')
 
 
 def placed(region: Region, image_size: tuple[int, int], layout: PixelFormat) -> Region | None:
@@ -214,7 +315,7 @@ def placed(region: Region, image_size: tuple[int, int], layout: PixelFormat) -> 
     return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
 
-def cut(view: NDArray[Any], region: Region, layout: PixelFormat) -> NDArray[Any]:
+def cut(view: ImageView, region: Region, layout: PixelFormat) -> NDArray[Any]:
     """
     Copy the pixels of a region inside the image, ready for encoding.
 
@@ -226,6 +327,8 @@ def cut(view: NDArray[Any], region: Region, layout: PixelFormat) -> NDArray[Any]
     >>> cut(bgr, (1, 0, 2, 1), PIXEL_FORMATS['bgr8']).tolist()
     [[[4, 5, 6]]]
     """
+    if not isinstance(view, np.ndarray):
+        return view.rgb(region)
     x0, y0, x1, y1 = region
     chip = view[y0:y1, x0:x1]
     if layout.channels != tuple(range(len(layout.channels))):
@@ -308,7 +411,7 @@ class ChipCutter:
 
     Attributes
     ----------
-    view : ndarray, shape (height, width, channels)
+    view : ndarray, YuvView or BayerView, of shape (height, width, channels)
         The image.
     layout : PixelFormat
         Its pixel format.
@@ -318,7 +421,7 @@ class ChipCutter:
         Called with region and error where the codec cannot hold a chip.
     """
 
-    view: NDArray[Any]
+    view: ImageView
     layout: PixelFormat
     codec: CodecSettings
     on_failure: Callable[[Region, Exception], None]
@@ -339,18 +442,18 @@ class ChipCutter:
         return EncodedChip(index, place, pixels, data)
 
 
-def format_text(encoding: str, codec: str) -> str:
+def format_text(encoding: str, codec: str, develop: bool = False) -> str:
     """
     Describe a chip as `image_transport` does in `sensor_msgs/CompressedImage.format`.
 
     It consists of the encoding of the image, the codec, and for colours the encoding to which
-    OpenCV decodes the file.
+    OpenCV decodes the file. With `develop`, Bayer mosaics are developed.
 
     Examples
     --------
     >>> format_text('rgb8', 'jpeg')
     'rgb8; jpeg compressed bgr8'
     """
-    channels = len(PIXEL_FORMATS[encoding].channels)
+    channels = len(_layout(encoding, develop).channels)
     stored = channels if channels in CODECS[codec].channels else 3
     return f'{encoding}; {codec} compressed {_DECODED[stored]}'

@@ -299,10 +299,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             frame.close_link(Dropped.NO_SUBSCRIBER)
             if planned.ticket is None:
                 return
-        codec = settings.codec.codec
-        layout = pixel_format(image.encoding, codec)
+        codec, develop = settings.codec.codec, settings.codec.develop
+        layout = pixel_format(image.encoding, codec, develop)
         warn = partial(self._warn_of_failure, image, codec)
-        cutter = ChipCutter(view_of(image), layout, settings.codec, warn)
+        cutter = ChipCutter(view_of(image, develop), layout, settings.codec, warn)
         camera = self._camera.info_for(image)
         link = self._link(image, plan, camera, settings) if is_wanted else None
         record = None
@@ -316,7 +316,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     ) -> FrameLink:
         """Return the link for the chips of an image."""
         budget = FrameBudget(settings.budget, self._bucket, settings.codec, time.monotonic)
-        topics = FrameTopics(self._chip_topics, image, plan, camera, settings.codec.codec)
+        topics = FrameTopics(self._chip_topics, image, plan, camera, settings.codec)
 
         def send(chip: EncodedChip, data: bytes) -> None:
             topics.publish(chip, data)

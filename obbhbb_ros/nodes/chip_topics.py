@@ -14,6 +14,7 @@ from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
+from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import EncodedChip
 from obbhbb_ros.downlink.chips import format_text
 from obbhbb_ros.downlink.stamps import ChipStamps
@@ -54,10 +55,15 @@ class FrameTopics:
     """The topics for the chips of one image, cut by a plan and seen by a camera."""
 
     def __init__(
-        self, topics: ChipTopics, image: WireImage, plan: WirePlan, camera: Any, codec: str
+        self,
+        topics: ChipTopics,
+        image: WireImage,
+        plan: WirePlan,
+        camera: Any,
+        settings: CodecSettings,
     ) -> None:
         self._topics, self._image, self._plan, self._camera = topics, image, plan, camera
-        self._format = format_text(image.encoding, codec)
+        self._format = format_text(image.encoding, settings.codec, settings.develop)
         self._stamps = topics.stamps.of_image(image.stamp)
         self._with_identity = topics.identities.wanted()
 

@@ -19,8 +19,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from obbhbb_ros.downlink.chips import ENCODINGS
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
 from obbhbb_ros.downlink.chips import ChipError
+from obbhbb_ros.downlink.chips import ImageView
 from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.errors import ObbhbbError
@@ -185,7 +187,7 @@ def draw(image: WireImage, layers: Sequence[Layer], labels: Labels | None, style
     Parameters
     ----------
     image : WireImage
-        The image, with an encoding of `obbhbb_ros.downlink.chips.PIXEL_FORMATS`. 16 bits are
+        The image, with an encoding of `obbhbb_ros.downlink.chips.ENCODINGS`. 16 bits are
         stretched by `to_8_bits`; a Bayer mosaic is shown as grey.
     layers : sequence of Layer
         The boxes, the first below the others.
@@ -232,9 +234,8 @@ def picture_of(image: WireImage, scale: float = 1.0) -> Any:
     """
     from PIL import Image
 
-    layout = PIXEL_FORMATS.get(image.encoding)
-    if layout is None:
-        supported = ', '.join(PIXEL_FORMATS)
+    if image.encoding not in ENCODINGS:
+        supported = ', '.join(ENCODINGS)
         raise OverlayError(
             f'images of encoding {image.encoding!r} cannot be shown, only {supported}'
         )
@@ -248,15 +249,23 @@ def picture_of(image: WireImage, scale: float = 1.0) -> Any:
     if image.encoding in _RAW_MODES and image.step == view.shape[1] * view.shape[2]:
         picture = Image.frombytes('RGB', size, image.data, 'raw', _RAW_MODES[image.encoding])
     else:
-        pixels = view[..., layout.channels[:3]]
-        if layout.depth == 16:
-            pixels = to_8_bits(pixels)
+        pixels = _shown(view, image.encoding)
         mode = 'L' if pixels.shape[2] == 1 else 'RGB'
         picture = Image.frombytes(mode, size, np.ascontiguousarray(pixels)).convert('RGB')
     if scale != 1.0:
         scaled = [max(1, round(side * scale)) for side in size]
         picture = picture.resize(scaled, Image.Resampling.BOX, reducing_gap=1.0)
     return picture
+
+
+def _shown(view: ImageView, encoding: str) -> NDArray[np.uint8]:
+    """Return grey, or red, green and blue, of all pixels in 8 bits."""
+    if not isinstance(view, np.ndarray):
+        height, width, _ = view.shape
+        return view.rgb((0, 0, width, height))
+    layout = PIXEL_FORMATS[encoding]
+    pixels = view[..., layout.channels[:3]]
+    return to_8_bits(pixels) if layout.depth == 16 else pixels
 
 
 def _outline(canvas: Any, corners: FloatArray, color: str, width: int) -> None:

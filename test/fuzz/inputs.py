@@ -34,6 +34,7 @@ from yolo_msgs.msg import DetectionArray
 from yolo_msgs.msg import KeyPoint2D
 from yolo_msgs.msg import Point2D as MaskPoint
 
+from obbhbb_ros.downlink.chips import ENCODINGS
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
 from obbhbb_ros.downlink.chips import ChipError
 from obbhbb_ros.downlink.chips import cut
@@ -120,7 +121,7 @@ def yolo_seed(source: random.Random) -> bytes:
 
 def image_seed(source: random.Random) -> bytes:
     """Write an `Image`."""
-    encoding = source.choice([*PIXEL_FORMATS, '32FC1', ''])
+    encoding = source.choice([*ENCODINGS, '32FC1', ''])
     width, height = source.choice([0, 1, 7, 32]), source.choice([0, 1, 5, 16])
     step = width * source.choice([1, 2, 3, 4, 6]) + source.choice([0, 0, 3])
     image = Image(
@@ -164,8 +165,9 @@ def image_check(data: bytes) -> str:
     except WireError:
         return 'refused'
     try:
-        layout = pixel_format(image.encoding, 'png')
-        view = view_of(image)
+        develop = image.encoding.endswith('8')
+        layout = pixel_format(image.encoding, 'png', develop)
+        view = view_of(image, develop)
     except ChipError:
         return 'not to be cut'
     for wanted in ((0, 0, 4, 4), (-9, 3, 10**9, 10**9)):

@@ -112,6 +112,30 @@ def test_chips_have_the_pixels_of_the_image_at_their_place(node: ChipNode, encod
         )
 
 
+def test_a_yuv_image_is_cut_in_colour_where_the_plan_says(node: ChipNode) -> None:
+    red = np.array([[81, 90], [81, 240]], np.uint8)
+    stored = np.tile(red, (HEIGHT, WIDTH // 2, 1))
+    stored[21:40, 12:30] = [41, 240]
+    stored[21:40, 13:30:2] = [41, 110]
+    node.send(stored, 'yuyv', [(11, 20, 31, 41)])
+    node.wait(lambda: node.chips and node.infos, 'a chip')
+    assert node.chips[0].format == 'yuyv; png compressed bgr8'
+    assert place_of(node.infos[0]) == (11, 20, 31, 41)
+    expected = np.full((21, 20, 3), (255, 0, 0))
+    expected[1:20, 1:19] = (0, 0, 255)
+    assert np.abs(pixels_of(node.chips[0]).astype(int) - expected).max() <= 1
+
+
+def test_a_mosaic_is_developed_if_asked_for(node: ChipNode) -> None:
+    node.set({'develop': True})
+    mosaic = np.tile(np.array([[200, 100], [100, 50]], np.uint8), (HEIGHT // 2, WIDTH // 2))
+    node.send(mosaic, 'bayer_rggb8', [(11, 21, 31, 41)])
+    node.wait(lambda: node.chips and node.infos, 'a chip')
+    node.set({'develop': False})
+    assert place_of(node.infos[0]) == (11, 21, 31, 41)
+    np.testing.assert_array_equal(pixels_of(node.chips[0]), np.full((20, 20, 3), (200, 100, 50)))
+
+
 def test_rows_may_be_padded_and_bytes_in_either_order(node: ChipNode) -> None:
     seen = picture('mono16')[..., 0]
     header = node.stamp()

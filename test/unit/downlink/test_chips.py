@@ -131,10 +131,22 @@ def test_a_codec_that_cannot_hold_the_depth_is_refused_with_those_that_can(encod
         assert pixel_format(encoding, codec) is PIXEL_FORMATS[encoding]
 
 
-@pytest.mark.parametrize('encoding', ['', 'yuv422', '32FC1', 'RGB8'])
+@pytest.mark.parametrize('encoding', ['', 'yuv420', '32FC1', 'RGB8'])
 def test_an_unknown_encoding_is_refused_with_those_known(encoding) -> None:
     with pytest.raises(ChipError, match=f"encoding '{encoding}' .* mono8, mono16, rgb8"):
         pixel_format(encoding, 'png')
+
+
+@pytest.mark.parametrize('encoding', ['rgb16', 'bgr16', 'rgba16', 'bgra16', '16UC3', '16UC4'])
+def test_colours_of_16_bits_are_refused_with_the_reason(encoding) -> None:
+    with pytest.raises(ChipError, match=f'{encoding} has several channels of 16 bits'):
+        pixel_format(encoding, 'png')
+
+
+def test_a_mosaic_of_16_bits_is_not_developed() -> None:
+    with pytest.raises(ChipError, match='bayer_rggb16, developed, has several channels of 16 bits'):
+        pixel_format('bayer_rggb16', 'png', develop=True)
+    assert pixel_format('bayer_rggb16', 'png').bayer
 
 
 @pytest.mark.parametrize(

@@ -149,6 +149,14 @@ def test_every_encoding_is_shown_with_padded_rows_or_without(encoding: str, padd
     assert np.abs(shown[:, 1:-1, 1:] - expected[1:-1, None]).max() < 6
 
 
+@pytest.mark.parametrize('encoding', ['yuv422', 'uyvy'])
+def test_yuv_is_shown_in_its_colours(encoding: str) -> None:
+    red = np.tile(np.array([[90, 81], [240, 81]], np.uint8), (30, 20, 1))
+    shown = np.asarray(picture_of(image_of(red, encoding))).astype(int)
+    assert shown.shape == (30, 40, 3)
+    assert np.abs(shown - (255, 0, 0)).max() <= 1
+
+
 @pytest.mark.parametrize('big', [False, True])
 def test_sixteen_bits_are_stretched_to_what_the_picture_has(big: bool) -> None:
     twelve_bits = np.tile(np.linspace(1000, 3000, 100).astype(np.uint16), (50, 1))
