@@ -13,6 +13,7 @@ What happens to a message: bytes and settings in, bytes and counts out, without 
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -27,6 +28,9 @@ from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import half_extents
 from obbhbb_ros.geometry.converter import to_xyxy
+from obbhbb_ros.plausibility import Doubt
+from obbhbb_ros.plausibility import doubtful_angles
+from obbhbb_ros.plausibility import doubtful_scores
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import InputType
@@ -138,6 +142,9 @@ def answer(
         counts |= _publish_crops(batch, outputs, *wants_crops)
     if batch.complaint:
         complaints['invalid detections'] = batch.complaint
+    for doubt, text in batch.doubts(has_plan=image_size is not None and any(wants_crops)):
+        counts[doubt.key] = len(doubt.rows)
+        complaints[doubt.key] = text
     return ConversionOutcome(counts, complaints)
 
 
@@ -206,8 +213,10 @@ class Batch:
         self._settings = settings
         self._image_size = image_size
         self._detections = detections = Detections(data, input_type)
+        xywhr = detections.xywhr()
+        self._theta = xywhr[:, 4]
         self._boxes = boxes = settings.input_frame.oriented_boxes(
-            detections.xywhr(), detections.polygons, image_size, bow=settings.bow
+            xywhr, detections.polygons, image_size, bow=settings.bow
         )
         self._rule_of: NDArray[np.intp] | None = None
         if rule_of_class := settings.rule_of_class:
@@ -313,6 +322,30 @@ class Batch:
             return plan_crops(xyxy, scores, self._image_size, settings.crop)
         weights, min_scores = settings.weights[self._rule_of], settings.min_scores[self._rule_of]
         return plan_crops(xyxy, scores, self._image_size, settings.crop, weights, min_scores)
+
+    def doubts(self, has_plan: bool) -> Iterator[tuple[Doubt, str]]:
+        """
+        List what the detector hardly means, with a text for an operator.
+
+        Scores are looked at only where a plan has ranked by them: they are read already.
+        """
+        if self._settings.input_frame.theta_scale == 1.0:
+            for doubt in doubtful_angles(self._theta):
+                yield doubt, self._text_of(doubt, self._theta)
+        if not has_plan:
+            return
+        scores = self._detections.scores()
+        for doubt in doubtful_scores(scores):
+            yield doubt, self._text_of(doubt, scores)
+
+    def _text_of(self, doubt: Doubt, values: FloatArray) -> str:
+        """Say which detections are doubtful, and why."""
+        first = doubt.rows[0]
+        return (
+            f'{len(doubt.rows)} of {len(self._boxes)} detections at stamp '
+            f'{stamp_text(self._detections.stamp)} have {doubt.what}; index {first} has '
+            f'{values[first]:.4g}: {doubt.cause}'
+        )
 
     def _count_invalid(self) -> str:
         """Count the detections that cannot be converted by reason; say which is the first."""

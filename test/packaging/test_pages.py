@@ -429,6 +429,7 @@ def test_the_topics_of_the_player_stand_in_its_code() -> None:
     ('node', 'mark', 'reasons'),
     [
         ('obb_to_hbb', 'detections', {each.name.lower() for each in Defect} - {'none'}),
+        ('obb_to_hbb', 'doubts', {'beyond_turn', 'above_one', 'negative', 'infinite'}),
         ('obb_to_hbb', 'crops', {each.value for each in LeftOut}),
         ('chip_extractor', 'unpaired', {each.value for each in Unpaired}),
         ('overlay', 'frames', {each.value for each in NotDrawn}),

@@ -338,3 +338,40 @@ def test_garbage_on_camera_info_does_no_harm(node: Converter) -> None:
     node.wait(lambda: node.counts().since(before).get('messages_unreadable', 0) > 1, 'the garbage')
     answer = node.convert(detections([GOOD]))
     np.testing.assert_array_equal(rows_of(answer), axis_aligned([GOOD]))
+
+
+def test_degrees_sent_as_radians_are_converted_and_reported(node: Converter) -> None:
+    before = node.counts()
+    rows = [GOOD, (*GOOD[:4], 87.3), (*GOOD[:4], -90.0), (*GOOD[:4], INF)]
+    assert len(node.convert(detections(rows)).detections) == 3
+    line = node.wait_for_log('WARN', 'beyond 6.3 rad')
+    assert '2 of 4 detections at stamp' in line
+    assert 'index 1 has 87.3: degrees? Then set angle_unit: deg' in line
+    changed = node.counts().since(before)
+    assert changed['angles_doubtful.beyond_turn'] == 2
+    node.set({'angle_unit': 'deg'})
+    before = node.counts()
+    node.convert(detections(rows))
+    assert not node.counts().since(before, 'angles_doubtful')
+
+
+def test_scores_that_are_no_fractions_are_reported_where_they_rank(
+    start: Callable[..., Converter],
+) -> None:
+    node = start(parameters={'image_width': 1000, 'image_height': 1000})
+    node.connect()
+    regions: list[Any] = node.peer.collect(Detection2DArray, 'crop_regions')
+    node.connect(regions)
+    before = node.counts()
+    scores = [0.0, 1.0, NAN, 87.0, -2.5, INF, -INF, 1.0 + 1e-7]
+    message = detections([GOOD] * len(scores))
+    for detection, score in zip(message.detections, scores, strict=True):
+        detection.results[0].hypothesis.score = score
+    node.convert(message, regions)
+    node.wait_for_log('WARN', 'a score above 1; index 3 has 87: percent?')
+    node.wait_for_log('WARN', 'a negative score; index 4 has -2.5: logits?')
+    assert node.counts().since(before, 'scores_doubtful') == {
+        'scores_doubtful.above_one': 1,
+        'scores_doubtful.negative': 1,
+        'scores_doubtful.infinite': 2,
+    }

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers that a detector hardly means: they are converted, and reported."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_ANGLE = 6.3
+"""A full turn, rounded up: angles beyond it are hardly radians."""
+
+# Scores are often of single precision, and sums of such.
+_MAX_SCORE = 1.0 + 1e-6
+_MIN_SCORE = -1e-6
+
+
+class Doubt(NamedTuple):
+    """
+    Something that a detector hardly means.
+
+    Attributes
+    ----------
+    key : str
+        Its counter in the diagnostics.
+    rows : ndarray of int, shape (K,)
+        Which detections.
+    what : str
+        What they have.
+    cause : str
+        The likely cause, and what to do.
+    """
+
+    key: str
+    rows: NDArray[np.intp]
+    what: str
+    cause: str
+
+
+def doubtful_angles(theta: NDArray[np.float64]) -> Iterator[Doubt]:
+    """
+    Find angles beyond a full turn.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (N,)
+        Angles that are meant to be radians. Infinite ones, as NaN, are other trouble.
+    """
+    size = np.abs(theta)
+    if np.count_nonzero(size > MAX_ANGLE):
+        (rows,) = np.nonzero((size > MAX_ANGLE) & np.isfinite(size))
+        if rows.size:
+            yield Doubt(
+                'angles_doubtful.beyond_turn',
+                rows,
+                f'an angle beyond {MAX_ANGLE} rad',
+                'degrees? Then set angle_unit: deg',
+            )
+
+
+def doubtful_scores(scores: NDArray[np.float64]) -> Iterator[Doubt]:
+    """
+    Find scores that are not from 0 to 1.
+
+    Parameters
+    ----------
+    scores : ndarray, shape (N,)
+        Scores; NaN where there is none, which is no doubt.
+    """
+    above, below = scores > _MAX_SCORE, scores < _MIN_SCORE
+    if not np.count_nonzero(above) and not np.count_nonzero(below):
+        return
+    infinite = np.isinf(scores)
+    for key, mask, what, cause in (
+        (
+            'above_one',
+            above & ~infinite,
+            'a score above 1',
+            'percent? crop.min_score and outbox.levels are compared with scores as they are',
+        ),
+        (
+            'negative',
+            below & ~infinite,
+            'a negative score',
+            'logits? outbox.levels are compared with scores as they are',
+        ),
+        ('infinite', infinite, 'an infinite score', 'in the spool its value is 0'),
+    ):
+        (rows,) = np.nonzero(mask)
+        if rows.size:
+            yield Doubt(f'scores_doubtful.{key}', rows, what, cause)
