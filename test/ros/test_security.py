@@ -19,7 +19,8 @@ from obbhbb_ros.settings.all_nodes import NODE_TABLES
 pytestmark = pytest.mark.once
 
 POLICY = ElementTree.parse(Path(__file__).parents[2] / 'config' / 'security' / 'policy.xml')
-NODES = ('obb_to_hbb', 'chip_extractor', 'downlink', 'overlay')
+MANAGED = ('obb_to_hbb', 'chip_extractor', 'downlink', 'overlay')
+NODES = (*MANAGED, 'play_detections')
 
 
 def allowed(node: str, kind: str, action: str) -> set[str]:
@@ -63,7 +64,23 @@ def test_the_policy_has_the_names_of_the_running_node(
 
 
 def test_the_operator_may_ask_for_every_service_and_nobody_else_for_any() -> None:
-    replies = set().union(*(allowed(node, 'service', 'reply') for node in NODES))
+    replies = set().union(*(allowed(node, 'service', 'reply') for node in MANAGED))
     assert allowed('operator', 'service', 'request') == replies
     requests = POLICY.findall('.//services[@request="ALLOW"]')
     assert len(requests) == 1
+
+
+def test_every_input_has_somebody_who_may_publish_it() -> None:
+    published = set().union(
+        *(
+            allowed(node, 'topic', 'publish')
+            for node in (*MANAGED, 'camera', 'detector', 'operator')
+        )
+    )
+    for node in (*MANAGED, 'detector'):
+        assert allowed(node, 'topic', 'subscribe') <= published
+
+
+def test_the_tools_of_the_operator_may_describe_their_types() -> None:
+    # Every node of Jazzy has this service, those of `ros2 param` and the like as well.
+    assert allowed('operator', 'service', 'reply') == {'/_ros2cli_*/get_type_description'}
