@@ -21,6 +21,7 @@ from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.limits import Choices
 from obbhbb_ros.settings.all_nodes import NODE_TABLES
+from obbhbb_ros.settings.common import AUTOSTART
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
 from obbhbb_ros.settings.parameter_file import yaml_value
 from obbhbb_ros.settings.parameters import Parameter
@@ -68,6 +69,37 @@ def yaml_file(title: str, values: Mapping[str, Any], table: Sequence[Parameter])
         indent = _INDENT + ('  ' if group else '')
         lines += _comment(_note(spec), indent)
         lines.append(f'{indent}{name}: {yaml_value(values.get(spec.name, spec.default))}')
+    return '\n'.join(lines) + '\n'
+
+
+def aggregator_file() -> str:
+    """Write the parameter file of `diagnostic_aggregator`: one analyzer for each managed node."""
+    lines = [
+        '# diagnostic_aggregator: one analyzer for each managed node, in any namespace.',
+        'analyzers:',
+        '    ros__parameters:',
+        '        path: Aggregation',
+        '        pub_rate: 1.0',
+        '        obbhbb:',
+        '            type: diagnostic_aggregator/AnalyzerGroup',
+        '            path: obbhbb',
+        '            analyzers:',
+    ]
+    for node, table in NODE_TABLES.items():
+        if AUTOSTART not in table.rows:
+            continue
+        lines += [
+            f'                {node}:',
+            '                    type: diagnostic_aggregator/GenericAnalyzer',
+            f'                    path: {node}',
+            f"                    regex: ['(.*/)?{node}']",
+            '                    timeout: 5.0',
+        ]
+        if node == 'overlay':
+            lines += [
+                '                    # It may be absent.',
+                '                    num_items: 0',
+            ]
     return '\n'.join(lines) + '\n'
 
 
@@ -144,6 +176,7 @@ def documents(root: Path) -> dict[Path, str]:
         )
         for name, node, title, values in PARAMETER_FILES
     }
+    files[root / 'config' / 'diagnostic_aggregator.yaml'] = aggregator_file()
     for page, tables in page_tables().items():
         path = root / 'doc' / f'{page}.md'
         files[path] = path.read_text(encoding='utf-8')

@@ -18,6 +18,7 @@ SHARE = [
     'obbhbb_ros/config/chip_extractor.yaml',
     'obbhbb_ros/config/overlay.yaml',
     'obbhbb_ros/config/paper.yaml',
+    'obbhbb_ros/config/diagnostic_aggregator.yaml',
     'obbhbb_ros/config/fastdds_large.xml',
     'obbhbb_ros/config/security/policy.xml',
     'obbhbb_ros/launch/downlink.launch.py',
