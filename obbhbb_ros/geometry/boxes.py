@@ -88,7 +88,7 @@ class Defect(IntEnum):
     OUTSIDE_IMAGE = 6
 
 
-@dataclass(frozen=True, init=False, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class OrientedBoxes:
     """
     N oriented boxes.
@@ -136,24 +136,13 @@ class OrientedBoxes:
     second: FloatArray
     defects: NDArray[np.uint8]
     bow: NDArray[np.bool_]
-    regular: bool
+    regular: bool = False
 
-    def __init__(
-        self,
-        center: FloatArray,
-        first: FloatArray,
-        second: FloatArray,
-        defects: NDArray[np.uint8],
-        bow: NDArray[np.bool_],
-        regular: bool = False,
-    ) -> None:
-        for array in (center, first, second, defects, bow):
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for array in self._arrays:
             # By name, the argument doubles the time.
             array.setflags(False)  # type: ignore[call-arg]
-        # Half the time that a frozen dataclass takes to assign them one by one.
-        self.__dict__.update(
-            center=center, first=first, second=second, defects=defects, bow=bow, regular=regular
-        )
 
     @classmethod
     def from_corners(

@@ -126,11 +126,6 @@ class Caps:
             if value is not None and not require_number(name, value) > 0.0:
                 raise ValueError(f'{name} must be positive or None, not {value}')
 
-    @property
-    def bounded(self) -> bool:
-        """Whether there is any bound."""
-        return self.max_length is not None or self.max_width is not None
-
 
 NO_CAPS = Caps()
 
@@ -223,7 +218,8 @@ def convert(
     array([[21.7, 11.7, 71.2, 61.2]])
     """
     rule = HullRule(method, q, f, s, q_bow, q_stern)
-    return convert_by_rule(boxes, rule, Caps(max_length, max_width))
+    uncapped = max_length is None and max_width is None
+    return convert_by_rule(boxes, rule, NO_CAPS if uncapped else Caps(max_length, max_width))
 
 
 def convert_by_rule(boxes: OrientedBoxes, rule: HullRule, caps: Caps = NO_CAPS) -> FloatArray:
@@ -415,7 +411,7 @@ def _placed(
         center[known] += shift * rule.s
     if method.tunable and rule.s != 1.0:
         extents *= rule.s
-    return center, _capped(extents, caps) if caps.bounded else extents
+    return center, _capped(extents, caps) if caps.max_length or caps.max_width else extents
 
 
 def _two_ended(
