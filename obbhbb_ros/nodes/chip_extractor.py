@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from sensor_msgs.msg import CameraInfo
-from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.downlink.budget import FrameBudget
@@ -25,6 +24,8 @@ from obbhbb_ros.downlink.chips import EncodedChip
 from obbhbb_ros.downlink.chips import Region
 from obbhbb_ros.downlink.chips import pixel_format
 from obbhbb_ros.downlink.chips import view_of
+from obbhbb_ros.downlink.decoding import AnyImage
+from obbhbb_ros.downlink.decoding import decoded
 from obbhbb_ros.downlink.frame import FrameCut
 from obbhbb_ros.downlink.frame import FrameLink
 from obbhbb_ros.downlink.joiner import IMAGES_KEPT
@@ -37,6 +38,7 @@ from obbhbb_ros.downlink.stamps import ChipStamps
 from obbhbb_ros.nodes.camera_info import LatestCameraInfo
 from obbhbb_ros.nodes.chip_topics import ChipTopics
 from obbhbb_ros.nodes.chip_topics import FrameTopics
+from obbhbb_ros.nodes.image_input import image_input
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import TopicInput
 from obbhbb_ros.nodes.node_topics import reliable
@@ -49,8 +51,8 @@ from obbhbb_ros.spool.chip_rows import NewChip
 from obbhbb_ros.spool.records import recorder_of
 from obbhbb_ros.spool.writer import FrameTicket
 from obbhbb_ros.spool.writer import SpoolWriter
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import WireImage
-from obbhbb_ros.wire.image import read_image
 from obbhbb_ros.wire.plans import Source
 from obbhbb_ros.wire.plans import WirePlan
 from obbhbb_ros.wire.plans import read_sources
@@ -108,10 +110,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             ('images_received', 'chips_sent', 'bytes_sent'),
             **kwargs,
         )
-        self._images = JoinerSide[WireImage, PlannedFrame](
+        self._images = JoinerSide[AnyImage, PlannedFrame](
             self._on_image_dropped, partial(self._warn_of_jump_back, 'images')
         )
-        self._plans = JoinerSide[PlannedFrame, WireImage](
+        self._plans = JoinerSide[PlannedFrame, AnyImage](
             self._on_plan_dropped, partial(self._warn_of_jump_back, 'crop_plans')
         )
         self._images.pair_with(self._plans)
@@ -132,9 +134,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._sources_in = self.topics.input(
                 Detection2DArray, 'crop_sources', self._on_sources, qos=plans
             )
-        self._images_in = self.topics.input(
-            Image, 'image', self._on_image, 'images_received', images
-        )
+        self._images_in = image_input(self.topics, self._on_image, images)
         self._plans_in = self.topics.input(
             Detection2DArray, 'crop_regions', self._on_regions, 'crop_plans_received', plans
         )
@@ -197,9 +197,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         # Their plans wait in the node, or still in the middleware.
         self._sources.put(stamp, sources, now, limits.regions + PLANS_KEPT)
 
-    def _on_image(self, data: bytes) -> None:
+    def _on_image(self, image: AnyImage) -> None:
         """Keep an image for its plan, or cut it if the plan is there."""
-        image = read_image(data)
         now, limits = self._expire()
         planned = self._images.add(image.stamp, image, now, limits.images, limits.slop)
         if planned is not None:
@@ -225,7 +224,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             waiting.expire(now, limits.max_age)
         return now, limits
 
-    def _on_image_dropped(self, reason: Unpaired, _: WireImage) -> None:
+    def _on_image_dropped(self, reason: Unpaired, _: AnyImage) -> None:
         """Count an image without a plan; that is no loss: detectors may skip images."""
         self.monitor.add(f'images_dropped.{reason.value}')
         if reason in _MISTAKES:
@@ -268,13 +267,15 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         if count:
             self.monitor.add(f'chips_dropped.{reason}', count)
 
-    def _cut(self, image: WireImage, planned: PlannedFrame, started: float) -> None:
+    def _cut(self, image: AnyImage, planned: PlannedFrame, started: float) -> None:
         """Cut one frame; publish what the budget allows, and store all of it in the spool."""
         self.monitor.add('frames_paired')
         frame = FrameCut[NewChip](planned.plan.regions)
         try:
             self._run(frame, image, planned)
-        except ChipError as error:
+        except (ChipError, WireError) as error:
+            if isinstance(error, WireError):
+                self.monitor.add('messages_unreadable')
             frame.refuse(Dropped.IMAGE_REFUSED)
             self.reporter.warn(
                 'image refused',
@@ -290,8 +291,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._warn_of_losses(frame.not_sent, image, len(planned))
         self.monitor.took(time.monotonic() - started)
 
-    def _run(self, frame: FrameCut[NewChip], image: WireImage, planned: PlannedFrame) -> None:
-        """Run the loop over the regions of a frame; ChipError if the image cannot be cut."""
+    def _run(self, frame: FrameCut[NewChip], arrived: AnyImage, planned: PlannedFrame) -> None:
+        """Run the loop over the regions of a frame; ValueError if the image cannot be cut."""
         settings, plan = self._settings(), planned.plan
         sources = self._sources.pop(plan.stamp) or []
         is_wanted = self._chip_topics.wanted()
@@ -299,6 +300,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             frame.close_link(Dropped.NO_SUBSCRIBER)
             if planned.ticket is None:
                 return
+        if not len(plan) and not isinstance(arrived, WireImage):
+            # Nobody wants its pixels.
+            return
+        image = decoded(arrived)
         codec, develop = settings.codec.codec, settings.codec.develop
         layout = pixel_format(image.encoding, codec, develop)
         warn = partial(self._warn_of_failure, image, codec)
@@ -337,7 +342,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             )
         return []
 
-    def _warn_of_losses(self, dropped: Counter[str], image: WireImage, count: int) -> None:
+    def _warn_of_losses(self, dropped: Counter[str], image: AnyImage, count: int) -> None:
         """Warn of chips that are not sent, where an operator can do something."""
         for reason, explanation in _LOST_FOR_GOOD.items():
             if number := dropped[reason]:

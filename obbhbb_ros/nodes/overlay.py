@@ -13,14 +13,16 @@ from typing import TypeVar
 from builtin_interfaces.msg import Time
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CompressedImage
-from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from visualization_msgs.msg import ImageMarker
 
 from obbhbb_ros.colors import LAYER_COLORS
+from obbhbb_ros.downlink.decoding import AnyImage
+from obbhbb_ros.downlink.decoding import decoded
 from obbhbb_ros.downlink.joiner import IMAGES_KEPT
 from obbhbb_ros.downlink.joiner import PLANS_KEPT
 from obbhbb_ros.downlink.joiner import ZERO_STAMP
+from obbhbb_ros.nodes.image_input import image_input
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import TopicInput
 from obbhbb_ros.nodes.node_topics import best_effort
@@ -34,15 +36,14 @@ from obbhbb_ros.overlay.drawing import OverlayError
 from obbhbb_ros.overlay.overlay_frame import OverlayFrame
 from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.overlay import OverlaySettings
+from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.detections import Detections
-from obbhbb_ros.wire.image import WireImage
-from obbhbb_ros.wire.image import read_image
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 from obbhbb_ros.wire.layouts import InputType
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import stamp_text
 
-Item = TypeVar('Item', WireImage, Detections)
+Item = TypeVar('Item', AnyImage, Detections)
 
 # Seconds by which an image that misses a layer may be drawn late.
 _DRAWING_PERIOD = 0.1
@@ -75,7 +76,7 @@ class Overlay(ManagedNode[OverlaySettings]):
         super().__init__(
             'overlay', OVERLAY, ('images_received', 'pictures_sent', 'bytes_sent'), **kwargs
         )
-        self._collector = LayerCollector[WireImage, Detections](self._count_not_drawn)
+        self._collector = LayerCollector[AnyImage, Detections](self._count_not_drawn)
         self._input_type = INPUT_TYPES[self.get_parameter('input_type').value]
         self._pictures = self.topics.output(CompressedImage, 'overlay/compressed')
         self._markers = self.topics.output(ImageMarker, 'overlay/markers')
@@ -88,9 +89,7 @@ class Overlay(ManagedNode[OverlaySettings]):
         # As in the other nodes: a detector may publish with any reliability; everything else is
         # reliable, because the many pieces of a large image push small messages out of buffers.
         images, plans = reliable(IMAGES_KEPT), reliable(PLANS_KEPT)
-        self._image_in = self.topics.input(
-            Image, 'image', self._on_image, 'images_received', images, on_demand=True
-        )
+        self._image_in = image_input(self.topics, self._on_image, images, on_demand=True)
         plain = INPUT_TYPES['Detection2DArray']
         self._layers_in = {
             'detections': self._layer_input(
@@ -154,9 +153,9 @@ class Overlay(ManagedNode[OverlaySettings]):
             topic.close()
         self.destroy_timer(self._drawing_timer)
 
-    def _on_image(self, data: bytes) -> None:
+    def _on_image(self, image: AnyImage) -> None:
         """Keep an image for its layers."""
-        self._collect(self._image_in, read_image(data), self._collector.add_image)
+        self._collect(self._image_in, image, self._collector.add_image)
 
     def _on_layer(self, layer: str, input_type: InputType, data: bytes) -> None:
         """Keep a layer for its image, if it is drawn."""
@@ -188,7 +187,13 @@ class Overlay(ManagedNode[OverlaySettings]):
         }
         for image, layers in self._collector.ready(awaited, time.monotonic(), settings.limits):
             started = time.perf_counter()
-            self._draw(OverlayFrame(image, layers, settings.frame), settings, awaited)
+            try:
+                frame = OverlayFrame(decoded(image), layers, settings.frame)
+            except WireError as error:
+                self.monitor.add('messages_unreadable')
+                self._refuse(image, error)
+                continue
+            self._draw(frame, settings, awaited)
             self.monitor.took(time.perf_counter() - started)
 
     def _draw(self, frame: OverlayFrame, settings: OverlaySettings, awaited: set[str]) -> None:
@@ -212,11 +217,7 @@ class Overlay(ManagedNode[OverlaySettings]):
             picture = frame.picture()
         except (OverlayError, MemoryError) as error:
             self.monitor.add('images_refused')
-            self.reporter.warn(
-                'image refused',
-                f'no picture of the image on {self._image_in.topic_name} at '
-                f'stamp {stamp_text(image.stamp)}: {error}',
-            )
+            self._refuse(image, error)
             return
         seconds, nanoseconds = image.stamp
         header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=image.frame_id)
@@ -226,6 +227,14 @@ class Overlay(ManagedNode[OverlaySettings]):
         self.monitor.add('pictures_sent')
         self.monitor.add('bytes_sent', len(picture.data))
         self.monitor.add('labels_left_out', picture.labels_left_out)
+
+    def _refuse(self, image: AnyImage, error: Exception) -> None:
+        """Report an image that cannot be shown."""
+        self.reporter.warn(
+            'image refused',
+            f'no picture of the image on {self._image_in.topic_name} at '
+            f'stamp {stamp_text(image.stamp)}: {error}',
+        )
 
     def _report_missing(self, frame: OverlayFrame, awaited: set[str]) -> None:
         """Count the layers that did not come although they have a publisher."""

@@ -13,6 +13,7 @@ from obbhbb_ros.downlink.joiner import PairLimits
 from obbhbb_ros.limits import MAX_BYTES
 from obbhbb_ros.limits import Range
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
+from obbhbb_ros.settings.common import IMAGE_TRANSPORT
 from obbhbb_ros.settings.common import folder_of
 from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.settings.parameters import ParameterTable
@@ -45,6 +46,7 @@ def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
 CHIP_EXTRACTOR = ParameterTable(
     (
         *COMMON_WITH_INPUT,
+        IMAGE_TRANSPORT,
         *rows_of(CodecSettings),
         *rows_of(BudgetSettings, 'budget.'),
         *rows_of(PairLimits, 'cache.'),

@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
+from obbhbb_ros.limits import Choices
 from obbhbb_ros.limits import Range
 from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.wire.image import IMAGE_SIZE_LIMIT
@@ -47,6 +48,14 @@ INPUT_TIMEOUT = Parameter(
     'Without input for this many seconds the diagnostics report ERROR, and after three times as '
     'long STALE. 0: off.',
     Range(0.0, 1e6),
+)
+IMAGE_TRANSPORT = Parameter(
+    'image_transport',
+    'raw',
+    'How images travel: `raw` on the topic `image`, or `compressed` as JPEG or PNG on the topic '
+    '`<image>/compressed`.',
+    Choices(('raw', 'compressed')),
+    read_only=True,
 )
 COMMON = (AUTOSTART, LOCK, HARDWARE_ID, STATE_PATH, WATCHDOG)
 """Parameters of every managed node."""

@@ -13,6 +13,7 @@ from obbhbb_ros.overlay.collector import CollectorLimits
 from obbhbb_ros.overlay.drawing import Style
 from obbhbb_ros.overlay.overlay_frame import FrameSettings
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
+from obbhbb_ros.settings.common import IMAGE_TRANSPORT
 from obbhbb_ros.settings.detection_input import DETECTION_INPUT
 from obbhbb_ros.settings.detection_input import input_frame
 from obbhbb_ros.settings.parameters import Parameter
@@ -48,6 +49,7 @@ OVERLAY = ParameterTable(
     (
         *COMMON_WITH_INPUT,
         *DETECTION_INPUT,
+        IMAGE_TRANSPORT,
         Parameter(
             'layers',
             list(LAYER_COLORS),

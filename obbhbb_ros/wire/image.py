@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.layouts import CAMERA_INFO
+from obbhbb_ros.wire.layouts import COMPRESSED_IMAGE
 from obbhbb_ros.wire.layouts import IMAGE
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.walk import read_struct
@@ -46,6 +47,27 @@ class WireImage:
     data: memoryview
 
 
+@dataclass(frozen=True)
+class CompressedWireImage:
+    """
+    A `sensor_msgs/CompressedImage` in its bytes.
+
+    Attributes
+    ----------
+    stamp : Stamp
+        The header's stamp.
+    frame_id, format : str
+        As in the message; bytes that are not UTF-8 are escaped.
+    data : memoryview
+        The file, a view into the bytes that the message was read from.
+    """
+
+    stamp: Stamp
+    frame_id: str
+    format: str
+    data: memoryview
+
+
 def read_image(data: bytes) -> WireImage:
     """
     Read an image without copying its pixels.
@@ -73,6 +95,17 @@ def read_image(data: bytes) -> WireImage:
     frame_id, encoding = (buffer.text(places[path]) for path in ('header.frame_id', 'encoding'))
     pixels = buffer.content(places['data'])
     return WireImage(buffer.stamp, frame_id, encoding, width, height, step, is_bigendian, pixels)
+
+
+def read_compressed_image(data: bytes) -> CompressedWireImage:
+    """Read a `sensor_msgs/CompressedImage` without decoding its file, as `read_image` does."""
+    buffer, places = read_struct(data, COMPRESSED_IMAGE)
+    return CompressedWireImage(
+        stamp=buffer.stamp,
+        frame_id=buffer.text(places['header.frame_id']),
+        format=buffer.text(places['format']),
+        data=buffer.content(places['data']),
+    )
 
 
 def read_image_size(data: bytes) -> tuple[int, int]:

@@ -87,6 +87,7 @@ HEADER = steps_of(_HEADER)
 DETECTION_2D = steps_of(_DETECTION_2D)
 BOOL = steps_of({'data': _UINT8})
 IMAGE = steps_of(_IMAGE)
+COMPRESSED_IMAGE = steps_of({'header': _HEADER, 'format': Text(), 'data': Array(1)})
 CAMERA_INFO = steps_of(_CAMERA_INFO)
 
 

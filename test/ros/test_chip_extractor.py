@@ -136,6 +136,30 @@ def test_a_mosaic_is_developed_if_asked_for(node: ChipNode) -> None:
     np.testing.assert_array_equal(pixels_of(node.chips[0]), np.full((20, 20, 3), (200, 100, 50)))
 
 
+def test_images_may_travel_as_files(site: Site) -> None:
+    arguments = {'codec': 'png', 'image_transport': 'compressed', 'input_timeout': 60.0}
+    with ChipNode(site, arguments) as node:
+        images = node.peer.publisher(CompressedImage, 'image/compressed')
+        node.plans = node.peer.publisher(Detection2DArray, 'crop_regions')
+        seen = picture('rgb8')
+        good, damaged = (encode(seen, CodecSettings('png')), b'no picture')
+
+        def send(data: bytes) -> None:
+            header = node.stamp()
+            images.publish(CompressedImage(header=header, format='rgb8; png', data=data))
+            node.send_plan([(11, 20, 31, 41)], header)
+
+        node.send_until(lambda: send(good), lambda: node.chips, 'a chip')
+        np.testing.assert_array_equal(pixels_of(node.chips[0]), seen[20:41, 11:31])
+        node.send_until(
+            lambda: send(damaged), lambda: node.warned('no image in the file'), 'the warning'
+        )
+        counts = node.counts()
+        assert counts['messages_unreadable'] == counts['chips_dropped.image_refused'] > 0
+        node.forget()
+        node.send_until(lambda: send(good), lambda: node.chips, 'a chip')
+
+
 def test_rows_may_be_padded_and_bytes_in_either_order(node: ChipNode) -> None:
     seen = picture('mono16')[..., 0]
     header = node.stamp()

@@ -27,6 +27,8 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import ImageMarker
 
 from obbhbb_ros.colors import LAYER_COLORS
+from obbhbb_ros.downlink.chips import CodecSettings
+from obbhbb_ros.downlink.chips import encode
 
 # Long; what depends on the versions of NumPy and Pillow is tested without DDS as well.
 pytestmark = pytest.mark.once
@@ -330,3 +332,27 @@ def test_a_deactivated_node_draws_nothing_and_forgets(start: Callable[..., Overl
         lambda: any(each.header == sent[-1] for each in node.pictures),
         'a picture after the second configuration',
     )
+
+
+# Images that travel as files -------------------------------------------------------------------
+
+
+def test_a_picture_of_an_image_that_travels_as_a_file(site: Site) -> None:
+    with OverlayNode(site, {'image_transport': 'compressed'}) as node:
+        images = node.peer.publisher(CompressedImage, 'image/compressed')
+        pixels = np.full((48, 64, 3), (200, 100, 50), np.uint8)
+        data = encode(pixels, CodecSettings('png'))
+
+        def send(data: bytes) -> None:
+            images.publish(CompressedImage(header=node.header(), format='png', data=data))
+
+        node.send_until(lambda: send(data), lambda: node.pictures, 'a picture')
+        with Picture.open(io.BytesIO(node.pictures[0].data.tobytes())) as file:
+            shown = np.asarray(file).astype(int)
+        assert np.abs(shown - pixels).max() < 5
+        before = node.counts()
+        node.send_until(
+            lambda: send(b'no picture'),
+            lambda: node.counts().since(before).get('messages_unreadable'),
+            'the damaged file to be counted',
+        )

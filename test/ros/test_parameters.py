@@ -100,6 +100,7 @@ OVERLAY_CONTRACT = {
     'input_width',
     'input_height',
     'input_fit',
+    'image_transport',
     'layers',
     'labels',
     'scale',
