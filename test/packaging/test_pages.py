@@ -446,6 +446,12 @@ def test_every_reason_in_the_diagnostics_is_explained(node, mark, reasons) -> No
     assert set(named_in(page, f'<!-- reasons: {mark} -->')) == reasons
 
 
+def test_every_message_that_is_said_to_raise_the_level_is_in_the_code() -> None:
+    texts = named_in(text_of(ROOT / 'doc' / 'nodes.md'), '<!-- what raises the level -->')
+    assert len(texts) > 20
+    assert [text for text in texts if text not in SOURCES] == []
+
+
 @pytest.mark.parametrize('node', MANAGED)
 def test_a_key_of_the_diagnostics_that_is_explained_exists(node: str) -> None:
     keys = [
