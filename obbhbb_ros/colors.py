@@ -15,9 +15,12 @@ METHOD_COLORS = {
 }
 ORIENTED_COLOR = '#000000'
 """Colour of oriented boxes."""
-LAYER_COLORS = {
-    'crop_regions': METHOD_COLORS['outer'],
-    'boxes': METHOD_COLORS['superellipse'],
-    'detections': ORIENTED_COLOR,
-}
-"""Colours of the layers that can be drawn over an image, by topic, the first at the bottom."""
+LAYER_COLORS = {'crop_regions': '#3c88dc', 'boxes': '#c0ff50', 'detections': ORIENTED_COLOR}
+"""
+Colours of the layers that can be drawn over an image, by topic, the first at the bottom.
+
+As in the report they are blue, green and black, but bright, as water is dark: of any two, one is at
+least three times as light as the other (the contrast of WCAG). The rim of each is white or black.
+"""
+DASHED_LAYERS = frozenset({'crop_regions'})
+"""Layers with dashed lines."""

@@ -2,8 +2,8 @@
 """
 Drawing of boxes and labels over an image: arrays in, JPEG out. No ROS in here.
 
-Lines and text scale with the picture. Boxes have a light rim and labels a background, so that they
-stand out from sea, quay and snow. Drawing requires Pillow.
+Lines and text scale with the picture. Boxes have a rim and labels a background, so that they stand
+out from sea, quay and snow; a legend names the layers. Drawing requires Pillow.
 """
 
 from __future__ import annotations
@@ -30,6 +30,11 @@ from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Range
 from obbhbb_ros.limits import setting
+from obbhbb_ros.overlay.outlines import Pen
+from obbhbb_ros.overlay.outlines import finite
+from obbhbb_ros.overlay.outlines import ink_on
+from obbhbb_ros.overlay.outlines import outline
+from obbhbb_ros.overlay.outlines import rgb
 from obbhbb_ros.wire.image import WireImage
 
 # Ratios of the picture's mean side to line width and text size: legible with the whole picture on
@@ -44,16 +49,16 @@ _MAX_LABELS = 2000
 # Maximum side of a JPEG, pixels.
 _MAX_SIDE = 65_500
 _MAX_TEXT_LENGTH = 24
-_WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
+_LEGEND_GROUND, _LEGEND_INK = (16, 28, 36), (255, 255, 255)
+# A legend that needs more of a side of the picture is left out.
+_MAX_LEGEND_SHARE = 1.0 / 3.0
+_NOWHERE = np.empty((0, 4))
 # Pillow's names of pixels in memory.
 _RAW_MODES = {'rgb8': 'RGB', 'bgr8': 'BGR', 'rgba8': 'RGBX', 'bgra8': 'BGRX'}
 _MAX_CACHED_TEXTS = 256
 
 Size: TypeAlias = tuple[int, int]
 """Width and height, pixels."""
-
-Color: TypeAlias = tuple[int, int, int]
-"""Red, green and blue, 0 to 255."""
 
 
 class OverlayError(ObbhbbError, ValueError):
@@ -80,6 +85,10 @@ class Style(CheckedSettings):
         True, 'Write class and score beside the detections, best score first, where there is room.'
     )
 
+    legend: bool = setting(
+        True, 'Name the layers in the lower left corner, where the picture is large enough.'
+    )
+
     def line_width_for(self, size: Size) -> int:
         """Return the line width of a picture of `size`, pixels."""
         return self.line_width or max(1, round(math.sqrt(size[0] * size[1]) / _SIDES_PER_LINE))
@@ -102,10 +111,16 @@ class Layer:
     corners : ndarray, shape (N, 4, 2)
         Corners in order around each box, pixels of the image. Boxes with a NaN or
         infinite corner are not drawn.
+    title : str
+        Name in the legend; without one, the layer is not in it.
+    dashed : bool
+        Whether the lines are dashed.
     """
 
     color: str
     corners: FloatArray
+    title: str = ''
+    dashed: bool = False
 
 
 @dataclass(frozen=True)
@@ -171,13 +186,8 @@ def lines(corners: FloatArray) -> FloatArray:
     ndarray, shape (4 K, 2, 2)
         Both ends of all edges of the K boxes that are finite.
     """
-    finite = corners[_finite(corners)]
-    return np.stack((finite, np.roll(finite, -1, axis=1)), axis=2).reshape(-1, 2, 2)
-
-
-def _finite(points: FloatArray) -> NDArray[np.bool_]:
-    """Return which rows of points, (N, K, 2), are finite."""
-    return np.logical_and.reduce(np.isfinite(points), axis=(1, 2))
+    drawn = corners[finite(corners)]
+    return np.stack((drawn, np.roll(drawn, -1, axis=1)), axis=2).reshape(-1, 2, 2)
 
 
 def draw(image: WireImage, layers: Sequence[Layer], labels: Labels | None, style: Style) -> Picture:
@@ -213,9 +223,13 @@ def draw(image: WireImage, layers: Sequence[Layer], labels: Labels | None, style
     # Rounded, the picture may differ from the image times the scale by half a pixel.
     factor = np.array(picture.size) / (image.width, image.height)
     canvas = ImageDraw.Draw(picture)
+    width = style.line_width_for(picture.size)
     for layer in layers:
-        _outline(canvas, layer.corners * factor, layer.color, style.line_width_for(picture.size))
-    left_out = _write(canvas, labels, factor, style) if labels is not None and style.labels else 0
+        outline(canvas, layer.corners * factor, Pen(rgb(layer.color), width, layer.dashed))
+    taken = _explain(canvas, layers, style) if style.legend else _NOWHERE
+    left_out = 0
+    if labels is not None and style.labels:
+        left_out = _write(canvas, labels, factor, style, taken)
     file = io.BytesIO()
     try:
         # Thin lines are mostly colour, which JPEG otherwise halves.
@@ -268,80 +282,50 @@ def _shown(view: ImageView, encoding: str) -> NDArray[np.uint8]:
     return to_8_bits(pixels) if layout.depth == 16 else pixels
 
 
-def _outline(canvas: Any, corners: FloatArray, color: str, width: int) -> None:
-    """Draw the edges of boxes, (N, 4, 2), in pixels of the picture, with a rim around each box."""
-    corners = corners[_finite(corners)]
-    rim = max(1, width // 3)
-    # First all rims: that of one box must not cover the line of another.
-    strokes = (_WHITE, rim, (width + rim) / 2.0), (_rgb(color), width, 0.0)
-    for ink, thickness, distance in strokes:
-        edges = _edges(corners, distance, thickness)
-        margin = np.full(2, float(thickness))
-        within = clipped(edges, -margin, np.array(canvas.im.size) + margin)
-        for x0, y0, x1, y1 in np.floor(within).reshape(-1, 4).tolist():
-            canvas.line((x0, y0, x1, y1), ink, thickness)
+def _explain(canvas: Any, layers: Sequence[Layer], style: Style) -> FloatArray:
+    """Draw the legend, the upper layers first; return the place it takes, (K, 4), K at most 1."""
+    picture = canvas.im.size
+    width, text_size = style.line_width_for(picture), style.text_size_for(picture)
+    named = [layer for layer in reversed(layers) if layer.title]
+    texts = [_text(layer.title, text_size) for layer in named]
+    margin = text_size // 2
+    key = 2 * text_size
+    row = max((text.height for text in texts), default=0) + 2 * width
+    size = (
+        key + 2 * margin + max((text.width for text in texts), default=0),
+        len(named) * row + margin,
+    )
+    if not named or any(np.array(size) > _MAX_LEGEND_SHARE * np.array(picture)):
+        return _NOWHERE
+    left, top = 0, picture[1] - size[1]
+    canvas.rectangle((left, top, left + size[0] - 1, picture[1] - 1), _LEGEND_GROUND)
+    for number, (layer, text) in enumerate(zip(named, texts, strict=True)):
+        y = top + margin // 2 + number * row
+        # A small box as the layer has them.
+        x0, y0 = left + margin, y + row // 4
+        x1, y1 = x0 + key - margin // 2, y + row - row // 4
+        box = np.array([[(x0, y0), (x1, y0), (x1, y1), (x0, y1)]], float)
+        outline(canvas, box, Pen(rgb(layer.color), width, layer.dashed))
+        canvas.bitmap((left + margin + key, y + width), text, _LEGEND_INK)
+    return np.array([[left, top, left + size[0], picture[1]]], float)
 
 
-def _edges(corners: FloatArray, distance: float, width: int) -> FloatArray:
-    """List the edges, (4 N, 2, 2), of boxes grown by a distance, for lines of some width."""
-    along = np.roll(corners, -1, axis=1) - corners
-    # An edge of zero length has no direction.
-    with np.errstate(divide='ignore', invalid='ignore'):
-        unit = np.nan_to_num(along / np.hypot(along[..., 0], along[..., 1])[..., None])
-    starts = corners + distance * (np.roll(unit, 1, axis=1) - unit)
-    # Long enough for corners without notches.
-    longer = (width - 1) / 2.0 * unit
-    ends = np.roll(starts, -1, axis=1) + longer
-    return np.stack((starts - longer, ends), axis=2).reshape(-1, 2, 2)
-
-
-def clipped(segments: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """
-    Cut line segments to a rectangle.
-
-    Parameters
-    ----------
-    segments : ndarray, shape (M, 2, 2)
-        x and y of the two ends.
-    low, high : ndarray, shape (2,)
-        Corners of the rectangle.
-
-    Returns
-    -------
-    ndarray, shape (K, 2, 2)
-        What lies inside of those that are finite.
-
-    Examples
-    --------
-    >>> lines = np.array([[[-10.0, 5.0], [30.0, 5.0]], [[-9.0, 0.0], [-9.0, 9.0]]])
-    >>> clipped(lines, np.array([0.0, 0.0]), np.array([20.0, 20.0])).tolist()
-    [[[0.0, 5.0], [20.0, 5.0]]]
-    """
-    segments = segments[_finite(segments)]
-    start, step = segments[:, 0], segments[:, 1] - segments[:, 0]
-    with np.errstate(divide='ignore', invalid='ignore'):
-        crossings = np.sort(np.stack(((low - start) / step, (high - start) / step)), axis=0)
-    first = np.fmax(crossings[0].max(axis=1), 0.0)
-    last = np.fmin(crossings[1].min(axis=1), 1.0)
-    kept = first <= last
-    start, step = start[kept], step[kept]
-    return np.stack((start + first[kept, None] * step, start + last[kept, None] * step), axis=1)
-
-
-def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int:
-    """Write the labels that have room, best first; return how many have none."""
+def _write(
+    canvas: Any, labels: Labels, factor: FloatArray, style: Style, covered: FloatArray
+) -> int:
+    """Write the labels that have room clear of `covered`, best first; return how many have none."""
     size = canvas.im.size
     text_size, gap = style.text_size_for(size), style.line_width_for(size)
-    background = _rgb(labels.color)
-    ink = _ink_on(background)
+    background = rgb(labels.color)
+    ink = ink_on(background)
     low, high = (labels.corners * factor).min(axis=1), (labels.corners * factor).max(axis=1)
-    visible = _finite(labels.corners) & ((high > 0.0) & (low < size)).all(axis=1)
+    visible = finite(labels.corners) & ((high > 0.0) & (low < size)).all(axis=1)
     # A label must hide neither another one nor the middle of a box.
     middles = (low[visible] + high[visible]) / 2.0
     order = np.argsort(-np.nan_to_num(labels.scores), kind='stable')
     rows = [row for row in order.tolist() if visible[row] and labels.texts[row]]
-    taken = np.concatenate((np.hstack((middles, middles)), np.zeros((len(rows), 4))))
-    count = len(middles)
+    taken = np.concatenate((np.hstack((middles, middles)), covered, np.zeros((len(rows), 4))))
+    first = count = len(middles) + len(covered)
     for row in rows[:_MAX_LABELS]:
         text = _text(labels.texts[row], text_size)
         place = _place(text.size, low[row] - gap, high[row] + gap, size, taken[:count])
@@ -352,7 +336,7 @@ def _write(canvas: Any, labels: Labels, factor: FloatArray, style: Style) -> int
         count += 1
         canvas.rectangle((x, y, x + text.width - 1, y + text.height - 1), background)
         canvas.bitmap((x, y), text, ink)
-    return len(rows) - (count - len(middles))
+    return len(rows) - (count - first)
 
 
 def _place(
@@ -391,15 +375,3 @@ def _font(size: int) -> Any:
     from PIL import ImageFont
 
     return ImageFont.load_default(size)
-
-
-def _ink_on(color: Color) -> Color:
-    """Choose black or white for a text, by the brightness of its background."""
-    red, green, blue = color
-    return _BLACK if 0.299 * red + 0.587 * green + 0.114 * blue > 140.0 else _WHITE
-
-
-def _rgb(color: str) -> Color:
-    """Parse '#rrggbb', once instead of for every line as Pillow would."""
-    red, green, blue = bytes.fromhex(color[1:])
-    return red, green, blue

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from obbhbb_ros.colors import DASHED_LAYERS
 from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.input_frame import InputFrame
@@ -95,7 +96,13 @@ class OverlayFrame:
             If the image cannot be drawn on.
         """
         layers = [
-            Layer(self._settings.colors[layer], corners) for layer, corners in self._corners.items()
+            Layer(
+                self._settings.colors[layer],
+                corners,
+                title=layer.replace('_', ' '),
+                dashed=layer in DASHED_LAYERS,
+            )
+            for layer, corners in self._corners.items()
         ]
         return draw(self.image, layers, self._labels(), self._settings.style)
 

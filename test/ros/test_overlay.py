@@ -75,10 +75,10 @@ def pixels_of(picture: CompressedImage) -> NDArray[np.uint8]:
 
 
 def shows(pixels: NDArray[np.uint8], layer: str) -> bool:
-    """Tell whether the left edge of the layer's box has the layer's colour."""
+    """Tell whether the left edge of the layer's box has the layer's colour, perhaps in dashes."""
     color = [int(LAYER_COLORS[layer][i : i + 2], 16) for i in (1, 3, 5)]
-    found = pixels[50, LEFT_EDGES[layer]].astype(int)
-    return bool(np.abs(found - color).max() < 40)
+    edge = pixels[44:57, LEFT_EDGES[layer]].astype(int)
+    return bool((np.abs(edge - color).max(axis=1) < 40).any())
 
 
 def test_all_layers_are_drawn_in_their_colours_whatever_the_order_of_arrival(

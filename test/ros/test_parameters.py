@@ -103,6 +103,7 @@ OVERLAY_CONTRACT = {
     'image_transport',
     'layers',
     'labels',
+    'legend',
     'scale',
     'quality',
     'line_width',

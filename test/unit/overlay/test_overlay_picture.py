@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from obbhbb_ros.colors import LAYER_COLORS
-from obbhbb_ros.colors import METHOD_COLORS
 from obbhbb_ros.colors import ORIENTED_COLOR
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
 from obbhbb_ros.geometry.boxes import OrientedBoxes
@@ -23,6 +23,13 @@ from obbhbb_ros.overlay.drawing import draw
 from obbhbb_ros.overlay.drawing import label_text
 from obbhbb_ros.overlay.drawing import lines
 from obbhbb_ros.overlay.drawing import picture_of
+from obbhbb_ros.overlay.outlines import Color
+from obbhbb_ros.overlay.outlines import clipped
+from obbhbb_ros.overlay.outlines import dashes
+from obbhbb_ros.overlay.outlines import ink_on
+from obbhbb_ros.overlay.outlines import rgb
+from obbhbb_ros.study.chip_costs import render
+from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.wire.image import WireImage
 
 PIL = pytest.importorskip('PIL.Image')
@@ -244,6 +251,41 @@ def test_where_two_labels_have_no_room_the_better_score_is_written() -> None:
     assert (pixels[first[0] + 2, 48:52] == alone[first[0] + 2, 48:52]).all()
 
 
+@pytest.mark.parametrize('side', [256, 1024, 4096])
+def test_the_legend_names_the_layers_in_a_corner_that_no_label_enters(side: int) -> None:
+    layers = [Layer('#0000ff', NOTHING, 'boxes'), Layer('#00ff00', NOTHING, 'detections')]
+    image = grey(side, side)
+
+    def pixels_with(style: Style, labels: Labels | None = None) -> NDArray[np.int64]:
+        with PIL.open(io.BytesIO(draw(image, layers, labels, style).data)) as file:
+            return np.asarray(file).astype(int)
+
+    alone = pixels_with(Style(quality=100))
+    changed = np.abs(alone - 128).max(axis=2) > 20
+    y, x = np.nonzero(changed)
+    assert (x.min(), y.max()) == (0, side - 1)
+    assert side / 40 < np.ptp(x) < side / 3
+    assert side / 40 < np.ptp(y) < side / 3
+    # The upper layer comes first.
+    assert red_rows(alone[..., [1, 0, 2]]).min() < red_rows(alone[..., [2, 1, 0]]).min()
+    # Boxes whose labels would lie in the legend.
+    step = side / 30
+    rows = [(i * step, side - j * step, 3.0, 3.0, 0.0) for i in range(1, 12) for j in range(12)]
+    labels = Labels('#ff0000', corners(*rows), ['ship'] * len(rows), np.ones(len(rows)))
+    full = pixels_with(Style(quality=100), labels)
+    assert (full != alone).any()
+    inside = np.s_[y.min() + 8 : side, 0 : x.max() - 8]
+    assert np.abs(full[inside] - alone[inside]).max() < 30
+    assert (pixels_with(Style(quality=100, legend=False)) == 128).all()
+
+
+def test_a_small_picture_and_layers_without_a_name_have_no_legend() -> None:
+    for image, title in ((grey(100, 60), 'boxes'), (grey(512, 512), '')):
+        picture = draw(image, [Layer('#ff0000', NOTHING, title)], None, Style())
+        with PIL.open(io.BytesIO(picture.data)) as file:
+            assert (np.asarray(file) == 128).all()
+
+
 def test_labels_can_be_switched_off() -> None:
     pixels, left_out = labelled(grey(200, 100), (100, 60, 80, 20, 0), labels=False)
     assert left_out == red_rows(pixels).size == 0
@@ -273,10 +315,58 @@ def test_a_label_is_one_short_line(class_id: str, score: float, text: str) -> No
 # Colours and edges ----------------------------------------------------------------------------
 
 
-def test_the_colours_are_those_of_the_report() -> None:
-    assert LAYER_COLORS['crop_regions'] == METHOD_COLORS['outer']
-    assert LAYER_COLORS['boxes'] == METHOD_COLORS['superellipse']
-    assert LAYER_COLORS['detections'] == ORIENTED_COLOR
+def luminance(color: Color) -> float:
+    """Return the relative luminance of WCAG."""
+    values = np.array(color) / 255.0
+    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    return float(linear @ (0.2126, 0.7152, 0.0722))
+
+
+def contrast(one: Color, other: Color) -> float:
+    darker, lighter = sorted((luminance(one), luminance(other)))
+    return (lighter + 0.05) / (darker + 0.05)
+
+
+def test_layers_have_a_contrast_of_three_to_each_other_and_to_their_rim() -> None:
+    colors = [rgb(color) for color in LAYER_COLORS.values()]
+    assert all(contrast(*pair) >= 3.0 for pair in combinations(colors, 2))
+    assert all(contrast(color, ink_on(color)) >= 3.0 for color in colors)
+
+
+@pytest.mark.parametrize('layer', LAYER_COLORS)
+def test_a_layer_or_its_rim_has_a_contrast_of_three_on_the_sea_and_on_white_decks(
+    layer: str,
+) -> None:
+    sea: Color = tuple(np.median(render(harbour()), axis=(0, 1)))
+    color = rgb(LAYER_COLORS[layer])
+    for background in (sea, WHITE):
+        assert max(contrast(ink, background) for ink in (color, ink_on(color))) >= 3.0
+    # Nothing that is dark enough for white decks and for the brightest layer is so for the sea.
+    assert contrast(color, sea) >= 3.0 or color == rgb(ORIENTED_COLOR)
+
+
+def test_a_light_line_has_a_dark_rim() -> None:
+    pixels = drawn(grey(200, 100), Layer('#ffff00', corners((100, 50, 80, 40, 0))))
+    assert is_like(pixels[50, 60], (255, 255, 0))
+    assert is_like(pixels[50, 59], (0, 0, 0))
+
+
+def test_dashes_are_half_of_a_line_and_hold_its_corners() -> None:
+    box = corners((100, 50, 84, 42, 0))
+    solid, dashed = (
+        (np.abs(drawn(grey(200, 100), layer) - RED).max(axis=2) < 50)
+        for layer in (Layer('#ff0000', box), Layer('#ff0000', box, dashed=True))
+    )
+    assert 0.4 < dashed.sum() / solid.sum() < 0.7
+    assert all(dashed[y, x] for x in (58, 142) for y in (29, 71))
+
+
+def test_dashes_of_a_box_beyond_the_picture_are_as_long_as_those_inside() -> None:
+    huge = dashes(clipped(lines(corners((0, 50, 1e7, 40, 0))), np.zeros(2), np.full(2, 200.0)), 4.0)
+    assert huge.shape[0] == 2 * 25
+    assert np.hypot(*(huge[:, 1] - huge[:, 0]).T) == pytest.approx(200 / 49)
+    assert dashes(NOTHING.reshape(-1, 2, 2), 4.0).shape == (0, 2, 2)
+    assert (dashes(np.full((1, 2, 2), 5.0), 4.0) == 5.0).all()
 
 
 def test_edges_go_around_each_finite_box() -> None:
