@@ -46,8 +46,11 @@ from obbhbb_ros.wire.stamp import nanoseconds_of
 OVERLAY_TOPIC = '/overlay/compressed'
 DIAGNOSTICS_TOPIC = '/diagnostics'
 
-_TIMEOUT = 20.0
+# Three nodes take half a minute to start on a busy machine.
+_TIMEOUT = 60.0
 _AGAIN = 0.5
+# A busy machine may lose a message, and the frame of it is never complete.
+_SECONDS_TO_COMPLETE = 5.0
 _PERIOD = 1.25
 # Pixels. Viewers refuse a camera info without a focal length.
 _FOCAL_LENGTH = 2000.0
@@ -162,20 +165,28 @@ def record_chain(frames: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> lis
     with _Chain(nodes) as chain:
         camera = _Camera(chain.node)
         # Discovery takes a different time for every topic.
-        chain.spin_until(
-            lambda: any(map(_is_complete, camera.frames.values())),
-            'complete frame',
-            partial(camera.send, *frames[0]),
-        )
+        _send_until_complete(chain, camera, frames[0], _AGAIN)
         camera.frames.clear()
         camera.reports.clear()
-        for labels, pixels in frames:
+        for image in frames:
             due = time.monotonic() + _PERIOD
-            frame = camera.send(labels, pixels)
-            chain.spin_until(partial(_is_complete, frame), 'complete frame')
+            _send_until_complete(chain, camera, image, _SECONDS_TO_COMPLETE)
             chain.spin_for(due - time.monotonic())
-    messages = itertools.chain(camera.reports, *camera.frames.values())
+    messages = itertools.chain(camera.reports, *filter(_is_complete, camera.frames.values()))
     return sorted(messages, key=attrgetter('time'))
+
+
+def _send_until_complete(
+    chain: _Chain, camera: _Camera, image: tuple[ImageLabels, NDArray[np.uint8]], again: float
+) -> None:
+    """Send an image, and again after some seconds, until everything about one has arrived."""
+    attempts: list[list[Recorded]] = []
+    chain.spin_until(
+        lambda: any(map(_is_complete, attempts)),
+        'complete frame',
+        lambda: attempts.append(camera.send(*image)),
+        again,
+    )
 
 
 def last_overlay(messages: Sequence[Recorded]) -> bytes:
@@ -319,9 +330,13 @@ class _Chain:
             self._executor.spin_once(timeout_sec=left)
 
     def spin_until(
-        self, condition: Callable[[], bool], what: str, send: Callable[[], object] = lambda: None
+        self,
+        condition: Callable[[], bool],
+        what: str,
+        send: Callable[[], object],
+        period: float = _AGAIN,
     ) -> None:
-        """Receive, and send something repeatedly, until a condition holds; TimeoutError in 20 s."""
+        """Receive, and send something repeatedly, until a condition holds; else TimeoutError."""
         deadline, again = time.monotonic() + _TIMEOUT, 0.0
         while not condition():
             now = time.monotonic()
@@ -332,5 +347,5 @@ class _Chain:
                 raise TimeoutError(f'{", ".join(self._nodes)}: no {what} in {_TIMEOUT:g} s')
             if now >= again:
                 send()
-                again = now + _AGAIN
+                again = now + period
             self._executor.spin_once(timeout_sec=0.05)
