@@ -5,6 +5,7 @@ import argparse
 import doctest
 import importlib
 import importlib.util
+import json
 import re
 import shlex
 from collections.abc import Iterator
@@ -25,6 +26,7 @@ from outboxes import make_spool
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import cli
 from obbhbb_ros import convert
+from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.commands import COMMANDS
 from obbhbb_ros.commands import command_line
 from obbhbb_ros.downlink.chips import Dropped
@@ -413,6 +415,27 @@ def test_the_topics_of_a_page_are_those_of_the_security_policy(node: str) -> Non
         # Instead of `detections`, which the policy has.
         named = set(named_in(page, f'## {title} topics\n')) - {'polygons'}
         assert named == allowed
+
+
+def panels_of(layout: str | dict[str, Any]) -> list[str]:
+    """List the panels in a tree of a Foxglove layout."""
+    if isinstance(layout, str):
+        return [layout]
+    assert layout['direction'] in ('row', 'column')
+    return panels_of(layout['first']) + panels_of(layout['second'])
+
+
+def test_the_layout_for_foxglove_shows_topics_of_the_nodes() -> None:
+    layout = json.loads(text_of(ROOT / 'config' / 'foxglove_layout.json'))
+    panels = layout['configById']
+    assert sorted(panels_of(layout['layout'])) == sorted(panels)
+    shown = [panel['topicToRender'] for panel in panels.values() if 'topicToRender' in panel]
+    for mode in (panel['imageMode'] for panel in panels.values() if 'imageMode' in panel):
+        shown += [mode['imageTopic'], *mode.get('annotations', {})]
+    policy = ElementTree.parse(ROOT / 'config' / 'security' / 'policy.xml')
+    topics = {f'/{topic.text.lstrip("/")}' for topic in policy.iterfind('.//topic')}
+    assert set(shown) <= topics
+    assert {f'/overlay/markers/{layer}' for layer in LAYER_COLORS} <= set(shown)
 
 
 def test_the_topics_of_the_player_stand_in_its_code() -> None:
