@@ -48,6 +48,7 @@ _BEST = '#d03b2a'
 _LINES = ('#1f5fbf', '#0b7d3e', '#e08a00', '#b0389b', '#5f6a72')
 _SHADES = ('#9ecae1', '#6baed6', '#3182bd', '#08519c')
 _DASHES = (0, (4, 3))
+_SHORT_DASHES = (0, (3, 3))
 _MARKERS = 'o^s*Dv<>'
 _CLOSE_UPS = 6
 _PANEL_WIDTH = 5.6
@@ -101,10 +102,16 @@ def _add_legend_below(figure: Figure, share: float, handles: Sequence[Any], **op
     figure.legend(handles=handles, loc='lower center', **options)
 
 
-def _add_box(axes: Any, xyxy: FloatArray, color: str, width: float) -> None:
+def _add_box(axes: Any, xyxy: FloatArray, color: str, width: float, dashes: Any = 'solid') -> None:
     """Outline an axis-aligned box, (4,)."""
     x0, y0, x1, y1 = xyxy
-    axes.add_patch(patches.Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=color, lw=width))
+    line = {'ec': color, 'lw': width, 'ls': dashes}
+    axes.add_patch(patches.Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, **line))
+
+
+def _dashes_of(method: str) -> Any:
+    """Return the dashes of a method; boxes of `gaussian` lie nearly on those of `shape_aware`."""
+    return _SHORT_DASHES if method == 'gaussian' else 'solid'
 
 
 def _add_oriented_box(axes: Any, corners: FloatArray) -> None:
@@ -235,6 +242,7 @@ def scene_figure(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> Figure
     shown = {name: boxes[name] for name in ('outer', 'superellipse') if name in boxes}
     _draw_ships(axes, labels, shown, range(len(labels.class_ids)))
     axes.set_title(f'{labels.image}: oriented boxes (dashed), hulls, {" and ".join(shown)}')
+    axes.set(xlabel='px', ylabel='px')
     if labels.size:
         axes.set(xlim=(0, labels.size[0]), ylim=(labels.size[1], 0))
     oriented = OrientedBoxes.from_corners(labels.corners)
@@ -242,17 +250,26 @@ def scene_figure(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> Figure
     for panel, row in zip(panels, _typical(oriented), strict=False):
         _draw_ships(panel, labels, boxes, [row])
         low, high = labels.corners[row].min(axis=0), labels.corners[row].max(axis=0)
-        (x, y), reach = (low + high) / 2.0, 0.62 * (high - low).max()
+        (x, y), reach = (low + high) / 2.0, 0.68 * (high - low).max()
         panel.set(xlim=(x - reach, x + reach), ylim=(y + reach, y - reach), xticks=[], yticks=[])
+        _add_scale(panel, x - 0.92 * reach, y + 0.88 * reach, reach)
         degrees = np.degrees(oriented.theta[row])
         panel.set_title(f'{labels.class_ids[row]} {labels.ids[row]}, {degrees:.0f}°')
     handles = [
         patches.Patch(facecolor=_HULL, label='hull'),
         Line2D([], [], color=ORIENTED_COLOR, ls=_DASHES, label='oriented box'),
-        *(Line2D([], [], color=color_of(name), label=name) for name in boxes),
+        *(Line2D([], [], color=color_of(name), ls=_dashes_of(name), label=name) for name in boxes),
     ]
     _add_legend_below(figure, 0.08, handles, ncol=5)
     return figure
+
+
+def _add_scale(axes: Any, x: float, y: float, longest: float) -> None:
+    """Draw a bar from (x, y) to the right, of a round number of pixels up to the longest."""
+    power = 10.0 ** np.floor(np.log10(longest))
+    length = max(power * step for step in (1.0, 2.0, 5.0) if power * step <= longest)
+    axes.plot((x, x + length), (y, y), color='black', lw=2.0, solid_capstyle='butt')
+    axes.annotate(f'{length:g} px', (x, y), (0, 3), textcoords='offset points', fontsize=9)
 
 
 def _typical(oriented: OrientedBoxes) -> list[int]:
@@ -277,7 +294,7 @@ def _draw_ships(
             axes.add_patch(patches.Polygon(hull, facecolor=_HULL, edgecolor='none'))
         _add_oriented_box(axes, labels.corners[row])
         for width, (name, xyxy) in zip(widths, boxes.items(), strict=True):
-            _add_box(axes, xyxy[row], color_of(name), width)
+            _add_box(axes, xyxy[row], color_of(name), width, _dashes_of(name))
 
 
 def cost_figure(
