@@ -77,4 +77,4 @@ def test_colcon_builds_a_package_whose_executables_run(source) -> None:
         text=True,
     )
     assert finished.returncode == 1
-    assert 'q out of range' in finished.stderr
+    assert 'q must be 1 to inf, not 0.5' in finished.stderr

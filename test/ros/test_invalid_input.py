@@ -340,7 +340,12 @@ def test_garbage_on_camera_info_does_no_harm(node: Converter) -> None:
     np.testing.assert_array_equal(rows_of(answer), axis_aligned([GOOD]))
 
 
-def test_degrees_sent_as_radians_are_converted_and_reported(node: Converter) -> None:
+def test_degrees_sent_as_radians_are_converted_and_reported(
+    start: Callable[..., Converter],
+) -> None:
+    # Of its own: the log says the same again only after five seconds.
+    node = start()
+    node.connect()
     before = node.counts()
     rows = [GOOD, (*GOOD[:4], 87.3), (*GOOD[:4], -90.0), (*GOOD[:4], INF)]
     assert len(node.convert(detections(rows)).detections) == 3

@@ -502,6 +502,7 @@ def long_scene() -> Sequence[Recorded]:
     found = [Recorded('/camera_info', 1, camera_info(*SIZE))]
     for i in range(30):
         rows = np.abs(random.normal(SHIPS, 5.0))
+        rows[:, 4] %= math.pi
         data = detections('Detection2DArray', np.tile(rows, (5, 1)), i)
         found.append(Recorded('/detections', 10 + i, data))
     return found
