@@ -85,7 +85,8 @@ class MeasuredChain(ExitStack):
         parameters = dict(
             zip(NODES, (size, spool, spool | {'outbox.path': self.outbox}, {}), strict=True)
         )
-        os.environ['PYTHONPATH'] = str(checkout)
+        # `python -m` looks for the package here before anywhere else.
+        os.chdir(checkout)
         self.processes = [
             self.enter_context(NodeProcess(node, namespace=namespace, parameters=parameters[node]))
             for node in NODES
