@@ -19,8 +19,9 @@ from obbhbb_ros.labels import coco
 from obbhbb_ros.labels import csv_tables
 from obbhbb_ros.labels import dota
 from obbhbb_ros.labels import geojson
+from obbhbb_ros.labels import hrsc
 from obbhbb_ros.labels import shapefile
-from obbhbb_ros.labels import xml_files
+from obbhbb_ros.labels import voc
 from obbhbb_ros.labels import yolo
 from obbhbb_ros.labels.folders import label_files
 from obbhbb_ros.labels.image_labels import MIN_HULL_POINTS
@@ -42,8 +43,8 @@ _ALL = (
     yolo.UPRIGHT,
     csv_tables.CORNER_TABLE,
     csv_tables.WKT_TABLE,
-    xml_files.HRSC,
-    xml_files.VOC,
+    hrsc.FORMAT,
+    voc.FORMAT,
     coco.FORMAT,
     geojson.FORMAT,
     shapefile.FORMAT,
