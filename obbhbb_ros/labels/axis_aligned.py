@@ -127,6 +127,7 @@ def convert_image(
         size=labels.size,
         source=labels.source,
         diagnostics=convert_with_diagnostics(boxes[rows], rule, caps) if diagnostics else None,
+        extras=labels.extras if len(rows) == len(finite) else labels.extras.take(rows),
     )
     left_out = {row: _reason(boxes, row) for row in np.flatnonzero(~finite).tolist()}
     bows = int(np.count_nonzero(boxes.bow))

@@ -207,5 +207,5 @@ FORMAT = Format(
     sniff=lambda head: any(mark in head for mark in MARKS),
     read=_read,
     write_boxes=_write_boxes,
-    holds_diagnostics=True,
+    holds=('diagnostics', 'scores', 'ids', 'image sizes', 'images without boxes'),
 )

@@ -263,7 +263,7 @@ CORNER_TABLE = Format(
     read=_read,
     write=_write,
     write_boxes=_write_boxes,
-    holds_diagnostics=True,
+    holds=('diagnostics', 'scores', 'ids', 'images without boxes'),
 )
 WKT_TABLE = Format(
     name='wkt',

@@ -327,8 +327,8 @@ def box_format(path: Path, name: str | None, diagnosed: bool = False) -> Format:
     """Choose the format that `write_boxes` writes, or raise its ValueError."""
     able = [entry for entry in FORMATS.values() if entry.write_boxes is not None]
     chosen = _format_to_write(path, name, able, 'axis-aligned boxes')
-    if diagnosed and not chosen.holds_diagnostics:
-        able = [entry for entry in able if entry.holds_diagnostics]
+    if diagnosed and 'diagnostics' not in chosen.holds:
+        able = [entry for entry in able if 'diagnostics' in entry.holds]
         raise ValueError(f'label format {chosen.name!r} cannot hold diagnostics: use {names(able)}')
     return chosen
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from typing import Literal
 from typing import NamedTuple
 from typing import TypeAlias
@@ -19,6 +20,9 @@ import numpy.typing as npt
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.converter import Conversion
+from obbhbb_ros.labels.extras import NO_EXTRAS
+from obbhbb_ros.labels.extras import NO_PROPERTIES
+from obbhbb_ros.labels.extras import Extras
 
 ImageSize = tuple[int, int]
 
@@ -59,6 +63,8 @@ class ImageLabels:
     bow : ndarray of bool or None
         Which labels say where the bow is, shape (N,): there the first two corners are the bow end.
         None if no label does.
+    extras : Extras
+        What the file says beyond this.
 
     Raises
     ------
@@ -76,6 +82,7 @@ class ImageLabels:
     size: ImageSize | None
     source: Path
     bow: npt.NDArray[np.bool_] | None = None
+    extras: Extras = NO_EXTRAS
 
     def __post_init__(self) -> None:
         """Check that all fields have the same number of boxes."""
@@ -90,6 +97,7 @@ class ImageLabels:
         for name in ('ids', 'hulls'):
             if (entries := len(getattr(self, name))) != count:
                 raise ValueError(f'{name} has {entries} entries for {count} class_ids')
+        self.extras.check(self.image, count)
 
     def boxes(self, bow: BowSource = 'none') -> OrientedBoxes:
         """
@@ -107,13 +115,16 @@ class ImageLabels:
 
 
 class BoxRow(NamedTuple):
-    """One axis-aligned box in Python numbers; an unknown diagnostic is None."""
+    """One axis-aligned box in Python numbers; an unknown diagnostic or property is None."""
 
     xyxy: list[float]
     class_id: str
     id: str
     score: float
     diagnostics: Mapping[str, Value]
+    crowd: bool = False
+    difficulty: int = 0
+    properties: Mapping[str, Any] = NO_PROPERTIES
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +138,7 @@ class ImageBoxes:
         x_min, y_min, x_max, y_max of N boxes, shape (N, 4), pixels.
     diagnostics : Conversion or None
         How the N boxes were computed; its `xyxy` and `valid` are not used.
-    image, class_ids, ids, scores, size, source
+    image, class_ids, ids, scores, size, source, extras
         As in `ImageLabels`.
 
     Raises
@@ -144,6 +155,7 @@ class ImageBoxes:
     size: ImageSize | None
     source: Path
     diagnostics: Conversion | None = None
+    extras: Extras = NO_EXTRAS
 
     def __post_init__(self) -> None:
         """Check that all fields have the same number of boxes, and that these are finite."""
@@ -155,15 +167,22 @@ class ImageBoxes:
             raise ValueError(f'image {self.image!r}: fields do not agree on the number of boxes')
         if not (np.isfinite(self.xyxy).all() and np.isfinite(self.scores).all()):
             raise ValueError(f'image {self.image!r}: a box has a value that is not finite')
+        self.extras.check(self.image, count)
 
     def rows(self) -> Iterator[BoxRow]:
         """Iterate over the boxes, with the six diagnostics or with none."""
         names = () if self.diagnostics is None else DIAGNOSTICS
         columns = {name: getattr(self.diagnostics, name).tolist() for name in names}
+        crowd, difficulty = self.extras.crowd, self.extras.difficulty
+        properties = self.extras.properties
         rows = zip(self.xyxy.tolist(), self.class_ids, self.ids, self.scores.tolist(), strict=True)
         for index, row in enumerate(rows):
             yield BoxRow(
-                *row, {name: _none_if_nan(values[index]) for name, values in columns.items()}
+                *row,
+                {name: _none_if_nan(values[index]) for name, values in columns.items()},
+                crowd is not None and bool(crowd[index]),
+                0 if difficulty is None else int(difficulty[index]),
+                {name: values[index] for name, values in properties.items()},
             )
 
 

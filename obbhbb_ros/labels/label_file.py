@@ -20,6 +20,13 @@ import numpy as np
 
 from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.labels.extras import NO_PROPERTIES
+from obbhbb_ros.labels.extras import NO_SET
+from obbhbb_ros.labels.extras import Extras
+from obbhbb_ros.labels.extras import Id
+from obbhbb_ros.labels.extras import LabelSet
+from obbhbb_ros.labels.extras import columns_of
+from obbhbb_ros.labels.extras import only_if_any
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.image_labels import ImageSize
 
@@ -75,7 +82,8 @@ class Box(NamedTuple):
     One record of a label file, as a format's parser returns it.
 
     `corners` holds x1 y1 … x4 y4, `reference` x1 y1 x2 y2, all in pixels. With `bow`, the first
-    two corners are the bow end.
+    two corners are the bow end. `crowd`, `difficulty` and `properties`, what else the record says,
+    are as in `Extras`.
     """
 
     corners: Sequence[float]
@@ -85,6 +93,9 @@ class Box(NamedTuple):
     reference: Sequence[float] = NO_REFERENCE
     hull: FloatArray | None = None
     bow: bool = False
+    crowd: bool = False
+    difficulty: int = 0
+    properties: Mapping[str, Any] = NO_PROPERTIES
 
 
 @dataclass(frozen=True)
@@ -123,11 +134,20 @@ class LabelFile:
             else:
                 yield line, place, item
 
-    def image(self, name: str, boxes: Sequence[Box], size: ImageSize | None = None) -> ImageLabels:
+    def image(
+        self,
+        name: str,
+        boxes: Sequence[Box],
+        size: ImageSize | None = None,
+        *,
+        image_id: Id | None = None,
+        file_name: str = '',
+        label_set: LabelSet = NO_SET,
+    ) -> ImageLabels:
         """
         Collect the N boxes of an image, which may be none, in arrays of N rows.
 
-        `size` is that of the image if `image_size` is None.
+        `size` is that of the image if `image_size` is None; the others are as in `Extras`.
         """
         return ImageLabels(
             image=name,
@@ -139,9 +159,19 @@ class LabelFile:
             hulls=tuple(box.hull for box in boxes),
             size=self.image_size or size,
             source=self.path,
-            bow=np.array([box.bow for box in boxes]) if any(box.bow for box in boxes) else None,
+            bow=only_if_any((box.bow for box in boxes), np.bool_),
+            extras=Extras(
+                crowd=only_if_any((box.crowd for box in boxes), np.bool_),
+                difficulty=only_if_any((box.difficulty for box in boxes), np.int64),
+                properties=columns_of([box.properties for box in boxes]),
+                image_id=image_id,
+                file_name=file_name,
+                label_set=label_set,
+            ),
         )
 
-    def images(self, boxes: Mapping[str, Sequence[Box]]) -> Iterator[ImageLabels]:
+    def images(
+        self, boxes: Mapping[str, Sequence[Box]], label_set: LabelSet = NO_SET
+    ) -> Iterator[ImageLabels]:
         """Collect the boxes of images by name."""
-        return (self.image(name, rows) for name, rows in boxes.items())
+        return (self.image(name, rows, label_set=label_set) for name, rows in boxes.items())

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Collection
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.losses import Part
 
 
 @dataclass(frozen=True)
@@ -38,8 +40,8 @@ class Format:
         for names and values that the format cannot hold. None if the format is only read.
     write_boxes : callable or None
         The same for a list of `ImageBoxes`. None if the format is not written with these.
-    holds_diagnostics : bool
-        Whether `write_boxes` writes the diagnostics of a conversion.
+    holds : collection of Part
+        What `write_boxes` writes besides boxes and classes.
     """
 
     name: str
@@ -49,7 +51,7 @@ class Format:
     read: Callable[[LabelFile], Iterable[ImageLabels]]
     write: Callable[[Path, list[ImageLabels]], None] | None = None
     write_boxes: Callable[[Path, list[ImageBoxes]], None] | None = None
-    holds_diagnostics: bool = False
+    holds: Collection[Part] = ()
 
 
 def names(formats: Iterable[Format]) -> str:

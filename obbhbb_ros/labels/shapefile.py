@@ -109,5 +109,5 @@ FORMAT = Format(
     sniff=lambda head: head.startswith(FILE_CODE),
     read=_read,
     write_boxes=_write_boxes,
-    holds_diagnostics=True,
+    holds=('diagnostics', 'scores', 'ids'),
 )

@@ -114,4 +114,5 @@ FORMAT = Format(
     sniff=lambda head: re.search(f'<{ROOT}[ >]', head) is not None,
     read=_read,
     write_boxes=_write,
+    holds=('image sizes', 'images without boxes'),
 )

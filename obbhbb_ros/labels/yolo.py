@@ -181,6 +181,7 @@ UPRIGHT = Format(
     sniff=partial(_fits, _parse_upright),
     read=partial(_read, _parse_upright),
     write_boxes=_write,
+    holds=('scores', 'images without boxes'),
 )
 ORIENTED = Format(
     name='yolo_obb',

@@ -11,6 +11,8 @@ import pytest
 
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
+from obbhbb_ros.labels.extras import Extras
+from obbhbb_ros.labels.extras import LabelSet
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelFile
 
@@ -87,3 +89,47 @@ def test_an_error_reads_as_path_line_message(line: int | None, text: str) -> Non
 def test_an_error_can_be_pickled() -> None:
     error = pickle.loads(pickle.dumps(LabelError(Path('a.txt'), 3, 'no')))
     assert str(error) == 'a.txt:3: no'
+
+
+def test_what_a_record_says_beyond_its_box_becomes_columns() -> None:
+    upright = (0, 0, 4, 0, 4, 9, 0, 9)
+    boxes = [
+        Box(upright, 'ship', properties={'mmsi': 219000001, 'flag': 'DK'}),
+        Box(upright, 'ship', crowd=True, difficulty=2, properties={'flag': None, 'time': '12:00'}),
+    ]
+    label_set = LabelSet({'ship': 3, 'tug': 8}, 'EPSG:32633')
+    labels = FILE.image('P1', boxes, image_id=17, file_name='P1.png', label_set=label_set)
+    extras = labels.extras
+    assert extras.properties == {
+        'mmsi': (219000001, None),
+        'flag': ('DK', None),
+        'time': (None, '12:00'),
+    }
+    assert extras.crowd is not None
+    assert extras.difficulty is not None
+    assert extras.crowd.tolist() == [False, True]
+    assert extras.difficulty.tolist() == [0, 2]
+    assert (extras.image_id, extras.file_name) == (17, 'P1.png')
+    assert extras.label_set is label_set
+    last = extras.take(np.array([1]))
+    assert last.properties == {'mmsi': (None,), 'flag': (None,), 'time': ('12:00',)}
+    assert last.crowd is not None
+    assert last.crowd.tolist() == [True]
+
+
+def test_plain_labels_have_no_columns_beyond_the_box() -> None:
+    extras = FILE.image('P1', [Box((0,) * 8, 'ship')]).extras
+    assert (extras.crowd, extras.difficulty, dict(extras.properties)) == (None, None, {})
+
+
+@pytest.mark.parametrize(
+    'extras',
+    [
+        Extras(crowd=np.zeros(3, bool)),
+        Extras(difficulty=np.zeros(1, int)),
+        Extras(properties={'mmsi': (1,)}),
+    ],
+)
+def test_extras_of_another_number_of_boxes_are_refused(extras: Extras) -> None:
+    with pytest.raises(ValueError, match=r"image 'P0706': .* entries for 2 class_ids"):
+        ImageLabels(**FIELDS, extras=extras)
