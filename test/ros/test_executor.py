@@ -203,6 +203,32 @@ def test_entities_created_or_destroyed_meanwhile_are_noticed(scene: Scene) -> No
     assert len(calls) == count
 
 
+def test_a_callback_may_destroy_or_cancel_what_is_due_beside_it(scene: Scene) -> None:
+    first, second = scene.publishers()
+    calls: list[str] = []
+    timers: list[Any] = []
+
+    def destroy_the_others() -> None:
+        calls.append('first')
+        timers[0].cancel()
+        timers[1].cancel()
+        scene.node.destroy_timer(timers[2])
+        scene.node.destroy_subscription(scene.node.raw_subscriptions[1])
+
+    for callback in (destroy_the_others, lambda: calls.append('other'), lambda: 1 / 0):
+        timers.append(scene.node.create_timer(0.3, callback))
+    # All are due at once, and there are messages.
+    time.sleep(0.5)
+    first.publish(Bool())
+    scene.spin_until(lambda: calls)
+    second.publish(Bool())
+    first.publish(Bool())
+    scene.spin_until(lambda: scene.node.heard.count('first') == 2)
+    scene.spin_for(0.4)
+    assert calls == ['first']
+    assert scene.node.heard == ['first', 'first']
+
+
 def test_tasks_run_and_coroutines_continue_when_their_futures_are_done(scene: Scene) -> None:
     first, _ = scene.publishers()
     done: list[str] = []
@@ -266,7 +292,7 @@ def test_a_wake_returns_from_a_wait_at_once(site: Site) -> None:
     scene.close()
 
 
-def test_messages_bypass_rclpy_only_where_that_is_allowed(site: Site) -> None:
+def test_messages_and_timers_bypass_rclpy_only_where_that_is_allowed(site: Site) -> None:
     scene = Scene(ExpressExecutor, site)
     first, _ = scene.publishers()
     callers: list[str] = []
@@ -275,12 +301,26 @@ def test_messages_bypass_rclpy_only_where_that_is_allowed(site: Site) -> None:
         frame.filename for frame in traceback.extract_stack()
     )
 
+    ticks: list[str] = []
+    scene.node.create_timer(
+        0.1, lambda: ticks.extend(frame.filename for frame in traceback.extract_stack())
+    )
+
     def bypasses_rclpy() -> bool:
         scene.settle()
+        # The first tick after a change is rclpy's in any case.
+        ticks.clear()
+        scene.spin_until(lambda: ticks)
+        ticks.clear()
         callers.clear()
         first.publish(Bool())
         scene.spin_until(lambda: callers)
-        return not any(caller.endswith('rclpy/task.py') for caller in callers)
+        scene.spin_until(lambda: ticks)
+        by_rclpy = {
+            any(name.endswith('rclpy/task.py') for name in each) for each in (callers, ticks)
+        }
+        assert len(by_rclpy) == 1
+        return by_rclpy == {False}
 
     assert bypasses_rclpy()
     guard = scene.node.create_guard_condition(print)
