@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
@@ -13,6 +14,9 @@ from typing import Any
 from obbhbb_ros.labels.image_labels import ImageSize
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_file import Record
+
+TOKEN = re.compile(r'"((?:[^"\\]|\\.)*)("|$)|[][{},:]', re.DOTALL)
+MAX_LEVEL = 4
 
 
 def image_size_of(width: object, height: object) -> ImageSize | None:
@@ -40,6 +44,34 @@ def read_json(file: LabelFile, shorten: Callable[[dict[str, Any]], Any] | None =
         raise file.error('not a label file: JSON nested too deeply') from None
     except ValueError as error:
         raise file.error(f'not JSON: {error}') from None
+
+
+def json_paths(head: str) -> frozenset[str]:
+    """
+    Return what the beginning of a JSON file consists of, down to a few levels.
+
+    A path is made of brackets and member names: ``{images[{id`` is the member ``id`` of the objects
+    in the array ``images`` of the outermost object; ``{`` alone says that this is an object.
+    """
+    paths: set[str] = set()
+    containers: list[str] = []
+    name, named = '', False
+    for token in TOKEN.finditer(head):
+        mark = token[0]
+        if mark in '{[':
+            path = containers[-1] + name if containers else ''
+            # Deeper ones are not told apart: their paths would grow with each level.
+            containers.append(f'{path}{mark}' if len(containers) < MAX_LEVEL else mark)
+            name, named = '', mark == '{'
+        elif mark in '}]':
+            del containers[-1:]
+        elif mark == ',':
+            name, named = '', bool(containers) and containers[-1].endswith('{')
+        elif mark != ':' and named:
+            name, named = token[1], False
+        if containers and len(containers) <= MAX_LEVEL and mark not in '}]':
+            paths.add(containers[-1] + name)
+    return frozenset(paths)
 
 
 def numbered(name: str, items: Iterable[Any]) -> Iterator[Record[Any]]:

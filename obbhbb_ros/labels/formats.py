@@ -35,6 +35,7 @@ from obbhbb_ros.labels.label_file import raise_error
 from obbhbb_ros.labels.label_format import Format
 from obbhbb_ros.labels.label_format import names
 from obbhbb_ros.labels.shapes import check_coordinates
+from obbhbb_ros.labels.unread import unread_format
 
 # Blank files have the first format of their suffix.
 _ALL = (
@@ -144,11 +145,16 @@ def _formats_by_content(files: Iterable[Path]) -> list[Format]:
 
 def _only_fitting(file: Path) -> Format | None:
     head = _head(file)
+    if unread_format(_suffix(file), head) is not None:
+        return None
     fitting = [candidate for candidate in _formats_of(file) if candidate.sniff(head)]
     return fitting[0] if len(fitting) == 1 else None
 
 
 def _format_by_suffix(path: Path, files: Sequence[Path]) -> Format:
+    for file in files:
+        if (other := unread_format(_suffix(file), _head(file))) is not None:
+            raise ValueError(f'{file}: {other.name}, which is not read: {other.advice}')
     candidates = {fitting.name: fitting for file in files for fitting in _formats_of(file)}
     blank = all(not _head(file).strip() for file in files)
     if len(candidates) == 1 or (candidates and blank):

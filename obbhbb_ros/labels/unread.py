@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Formats of other tools that are recognised but not read, for an error that says so."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+
+from obbhbb_ros.labels.documents import json_paths
+from obbhbb_ros.labels.text import is_number
+
+MOT_FIELDS = (9, 10)
+KITTI_FIELDS = (15, 16)
+UCAS_AOD_FIELDS = 13
+# The last lines of the head may be cut off.
+LINES = 5
+
+
+@dataclass(frozen=True)
+class UnreadFormat:
+    """
+    A format that is not read.
+
+    Attributes
+    ----------
+    name : str
+        What the file is, for a message.
+    suffixes : tuple of str
+        File suffixes, lower case with the dot.
+    sniff : callable
+        ``sniff(head)`` returns whether the beginning of a file is in this format.
+    advice : str
+        What to do instead.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    sniff: Callable[[str], bool]
+    advice: str
+
+
+def unread_format(suffix: str, head: str) -> UnreadFormat | None:
+    """Return the unread format that the beginning of a file has, if any."""
+    fitting = (entry for entry in UNREAD if suffix in entry.suffixes and entry.sniff(head))
+    return next(fitting, None)
+
+
+def _json(name: str, *paths: str, advice: str = 'export as COCO') -> UnreadFormat:
+    """Recognise JSON that has all `paths`, see `json_paths`."""
+    return UnreadFormat(name, ('.json',), lambda head: json_paths(head).issuperset(paths), advice)
+
+
+def _xml(name: str, pattern: str, advice: str = 'export as CVAT XML or COCO') -> UnreadFormat:
+    return UnreadFormat(name, ('.xml',), partial(_matches, re.compile(pattern)), advice)
+
+
+def _matches(pattern: re.Pattern[str], head: str) -> bool:
+    return pattern.search(head) is not None
+
+
+def _text(name: str, is_line: Callable[[str], bool], advice: str) -> UnreadFormat:
+    return UnreadFormat(name, ('.txt',), partial(_all_lines, is_line), advice)
+
+
+def _all_lines(is_line: Callable[[str], bool], head: str) -> bool:
+    lines = [line for line in head.splitlines() if line.strip()][:LINES]
+    return bool(lines) and all(map(is_line, lines))
+
+
+def _is_mot(line: str) -> bool:
+    fields = line.split(',')
+    if len(fields) not in MOT_FIELDS or not _are_numbers(fields):
+        return False
+    frame, track, _, _, _, _, considered, class_id = map(float, fields[:8])
+    whole = all(value.is_integer() for value in (frame, track, considered, class_id))
+    return whole and frame >= 1 and considered in {-1.0, 0.0, 1.0} and float(fields[8]) <= 1.0
+
+
+def _is_kitti(line: str) -> bool:
+    fields = line.split()
+    return len(fields) in KITTI_FIELDS and not is_number(fields[0]) and _are_numbers(fields[1:])
+
+
+def _is_ucas_aod(line: str) -> bool:
+    fields = line.split()
+    return len(fields) == UCAS_AOD_FIELDS and _are_numbers(fields)
+
+
+def _are_numbers(fields: Iterable[str]) -> bool:
+    return all(map(is_number, fields))
+
+
+OWN_CODE = 'write its corners as DOTA or CSV'
+UNREAD = (
+    _json('Segment Anything (SA-1B) JSON', '{image{', '{annotations['),
+    _json('SODA-A JSON', '{images{', '{annotations[', advice='write its poly as segmentation'),
+    _json('CreateML JSON', '[{annotations[{coordinates'),
+    _json('VGG Image Annotator JSON', '{_via_img_metadata{'),
+    _json('Supervisely JSON', '{objects[', '{size{'),
+    _json('Dataloop JSON', '{annotations[', '{filename'),
+    _json('Lightly JSON', '{predictions[', '{file_name'),
+    _json('FiftyOne JSON', '{samples['),
+    _xml('LabelMe XML', r'<annotation[ >](?s:.)*<(imagesize|sourceAnnotation|pt)>'),
+    _xml('KML', r'<kml[ >]', 'convert to GeoJSON'),
+    _xml('GML', r'<\w+:FeatureCollection[ >]', 'convert to GeoJSON'),
+    UnreadFormat(
+        'labelImg_OBB text', ('.txt',), lambda head: head.lstrip().startswith('YOLO_OBB'), OWN_CODE
+    ),
+    _text('MOT ground truth', _is_mot, 'it has upright boxes and tracks: write them as CSV'),
+    _text('KITTI text', _is_kitti, 'it has upright boxes: write them as YOLO'),
+    _text('UCAS-AOD text', _is_ucas_aod, OWN_CODE),
+)

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Formats of other tools that are not read: the error says what the file is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from obbhbb_ros.labels import detect_format
+from obbhbb_ros.labels.documents import json_paths
+
+if TYPE_CHECKING:
+    from conftest import Put
+
+RLE = {'counts': 'X`2', 'size': [800, 1000]}
+POLY = [303.4, 232.7, 476.6, 332.7, 496.6, 367.3, 323.4, 267.3]
+UCAS = '\t'.join(map(str, [*POLY, 30.0, 300, 280, 200, 40]))
+
+
+@pytest.mark.parametrize(
+    ('name', 'content', 'expected'),
+    [
+        (
+            'sa_1.json',
+            {
+                'image': {'image_id': 1, 'width': 1000, 'height': 800, 'file_name': 'sa_1.jpg'},
+                'annotations': [{'segmentation': RLE, 'bbox': [1, 2, 3, 4], 'id': 7}],
+            },
+            'SA-1B',
+        ),
+        (
+            '1.json',
+            {
+                'images': {'file_name': '1.jpg', 'id': 1, 'height': 800, 'width': 1000},
+                'categories': [{'id': 3, 'name': 'ship'}],
+                'annotations': [{'poly': POLY, 'category_id': 3}],
+            },
+            'SODA-A',
+        ),
+        (
+            'c.json',
+            [{'image': 'a.jpg', 'annotations': [{'label': 'x', 'coordinates': {'x': 4}}]}],
+            'CreateML',
+        ),
+        ('via.json', {'_via_settings': {}, '_via_img_metadata': {'a': {}}}, 'VGG'),
+        ('a.json', {'description': '', 'size': {'height': 8}, 'objects': []}, 'Supervisely'),
+        ('a.json', {'filename': '/a.jpg', 'annotations': [{'type': 'box'}]}, 'Dataloop'),
+        ('a.json', {'file_name': 'a.jpg', 'predictions': [{'bbox': [1, 2, 3, 4]}]}, 'Lightly'),
+        ('a.xml', '<annotation>\n<filename>a.jpg</filename>\n<imagesize>', 'LabelMe XML'),
+        ('a.xml', '<annotation><object><polygon><pt><x>1</x>', 'LabelMe XML'),
+        ('a.xml', '<kml xmlns="http://www.opengis.net/kml/2.2">', 'KML'),
+        ('a.txt', 'YOLO_OBB\n0 400 300 200 40 30\n', 'labelImg_OBB'),
+        ('gt.txt', '1,-1,300.0,280.0,200.0,40.0,1,1,1.0\n', 'MOT'),
+        ('gt.txt', '1,1,912,484,97,109,0,7,1\n2,1,912,484,97,109,0,7,0.5\n', 'MOT'),
+        ('det.txt', '1,-1,794,247,71,174,1,-1,-1,-1\n', 'MOT'),
+        ('a.txt', 'ship 0.0 0 -1 300 280 500 320 -1 -1 -1 -1 -1 -1 -1 1.0\n', 'KITTI'),
+        ('P0001.txt', f'{UCAS}\n', 'UCAS-AOD'),
+    ],
+)
+def test_an_unread_format_is_refused_by_its_name(
+    put: Put, name: str, content: object, expected: str
+) -> None:
+    text = content if isinstance(content, str) else json.dumps(content)
+    path = put(name, text)
+    with pytest.raises(ValueError, match=f'{expected}.*, which is not read: ') as caught:
+        detect_format(path)
+    assert str(caught.value).startswith(f'{path}: ')
+
+
+def test_an_unread_file_beside_label_files_is_not_in_the_way(put: Put, tmp_path: Path) -> None:
+    put('a.txt', '2753 2408 2861 2385 2888 2468 2805 2502 ship 0\n')
+    put('gt.txt', '1,-1,300.0,280.0,200.0,40.0,1,1,1.0\n')
+    put('via.json', '{"_via_img_metadata": {}}')
+    assert detect_format(tmp_path) == 'dota'
+
+
+@pytest.mark.parametrize('line', ['10,20,50,20,50,30,10,30,3\n', '0,3,0,1,1,1,1,1,5\n'])
+def test_dota_with_commas_is_not_taken_for_mot(put: Put, line: str) -> None:
+    assert detect_format(put('a.txt', line)) == 'dota'
+
+
+def test_json_paths_tell_what_a_document_consists_of() -> None:
+    head = '{"info": "a]{\\"b", "images": [{"id": 1, "size": [2, 3]}], "an'
+    assert json_paths(head) == {
+        '{', '{info', '{images', '{images[', '{images[{', '{images[{id', '{images[{size',
+        '{images[{size[', '{an',
+    }  # fmt: skip
+
+
+DOCUMENTS = st.recursive(
+    st.none() | st.integers() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner),
+)
+
+
+@given(DOCUMENTS, st.data())
+def test_json_paths_never_fail_and_grow_with_the_head(
+    document: object, data: st.DataObject
+) -> None:
+    text = json.dumps(document, ensure_ascii=False)
+    cut = data.draw(st.integers(0, len(text)))
+    whole = json_paths(text)
+    assert {path for path in json_paths(text[:cut]) if path[-1] in '{['} <= whole | {'{', '['}
+    expected = {list: '[', dict: '{'}.get(type(document))
+    assert (expected in whole) == (expected is not None)
