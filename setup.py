@@ -33,6 +33,9 @@ IMAGES = ['pillow>=10.1']
 # The peers of the benchmarks.
 PEERS = ['supervision>=0.27']
 GEO = ['geopandas>=0.14', 'pyogrio>=0.7']
+ARROW = ['pyarrow>=16.0']
+# What the page on Arrow shows.
+ENGINES = ['duckdb>=1.0', 'dask[dataframe,distributed]>=2024.1']
 PROGRESS = ['tqdm>=4.60']
 BAGS = ['rosbags>=0.11.9', 'mcap>=1.2', 'pyyaml>=5.4']
 LINT = ['mypy>=1.8', 'ruff~=0.17.0']
@@ -82,6 +85,7 @@ setup(
         'geo': GEO,
         # What the GeoPandas of Ubuntu 24.04 reads shapefiles with, in place of pyogrio.
         'fiona': ['fiona>=1.9'],
+        'arrow': ARROW,
         'progress': PROGRESS,
         'bags': BAGS,
         'test': [
@@ -89,8 +93,10 @@ setup(
             'pytest>=7.4',
             'pytest-xdist>=3.4',
             'colcon-common-extensions',
+            *ARROW,
             *BAGS,
             *CFDP,
+            *ENGINES,
             *GEO,
             *IMAGES,
             *LINT,

@@ -339,17 +339,21 @@ def blocks(language: str, *left_out: str) -> pytest.MarkDecorator:
 
 
 # The page of the figures needs data that the package does not have; the example for chips and the
-# tour are run with the nodes; Ultralytics and supervision need not be installed.
-@blocks('python', 'reproduction', 'chip_extractor', 'tour', 'python')
+# tour are run with the nodes, those for Arrow as programs; Ultralytics and supervision need not be
+# installed.
+@blocks('python', 'reproduction', 'chip_extractor', 'tour', 'python', 'arrow')
 def test_an_example_in_python_runs(block: str) -> None:
     exec(block, {})
 
 
-def test_the_examples_of_the_python_page_give_what_they_show() -> None:
-    page = ROOT / 'doc' / 'python.md'
+@pytest.mark.parametrize(('name', 'least'), [('python', 16), ('arrow', 4)])
+def test_the_examples_of_a_page_give_what_they_show(name: str, least: int) -> None:
+    if name == 'arrow':
+        pytest.importorskip('pyarrow')
+    page = ROOT / 'doc' / f'{name}.md'
     text = '\n'.join(block for kind, block in FENCE.findall(text_of(page)) if kind == 'pycon')
     session = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
-    assert len(session.examples) > 15
+    assert len(session.examples) >= least
     assert doctest.DocTestRunner().run(session).failed == 0
 
 
