@@ -35,7 +35,7 @@ PEERS = ['supervision>=0.27']
 GEO = ['geopandas>=0.14', 'pyogrio>=0.7']
 ARROW = ['pyarrow>=16.0']
 # What the page on Arrow shows.
-ENGINES = ['duckdb>=1.0', 'dask[dataframe,distributed]>=2024.1']
+ENGINES = ['duckdb>=1.5', 'dask[dataframe,distributed]>=2024.1']
 PROGRESS = ['tqdm>=4.60']
 BAGS = ['rosbags>=0.11.9', 'mcap>=1.2', 'pyyaml>=5.4']
 LINT = ['mypy>=1.8', 'ruff~=0.17.0']
