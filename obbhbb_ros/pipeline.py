@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from obbhbb_ros.downlink.cameras import CameraChoice
 from obbhbb_ros.downlink.crops import CropPlan
 from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.geometry.boxes import Defect
@@ -32,6 +33,7 @@ from obbhbb_ros.plausibility import Doubt
 from obbhbb_ros.plausibility import doubtful_angles
 from obbhbb_ros.plausibility import doubtful_scores
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
+from obbhbb_ros.wire.camera import WireCamera
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import InputType
 from obbhbb_ros.wire.stamp import stamp_text
@@ -87,7 +89,7 @@ def answer(
     data: bytes,
     input_type: InputType,
     settings: ConversionSettings,
-    camera_size: tuple[int, int],
+    camera: CameraChoice[WireCamera] | None,
     outputs: Outputs,
 ) -> ConversionOutcome:
     """
@@ -101,8 +103,9 @@ def answer(
         Its type.
     settings : ConversionSettings
         The settings.
-    camera_size : tuple of int
-        Width and height of the image from the latest camera info, pixels; 0 without one.
+    camera : CameraChoice of WireCamera, optional
+        The camera of the image, by its stamp or the latest. It gives the size of the image where
+        the settings do not.
     outputs : Outputs
         Where the answers go. Each is asked once whether it is wanted.
 
@@ -120,9 +123,7 @@ def answer(
     wants_crops = (False, False) if wants_boxes else _crops_wanted(outputs)
     if not wants_boxes and not any(wants_crops):
         return ConversionOutcome({'messages_without_subscriber': 1}, {})
-    width = settings.image_size[0] or camera_size[0]
-    height = settings.image_size[1] or camera_size[1]
-    image_size = (width, height) if width and height else None
+    image_size, used = _image_size(settings, camera)
     if image_size is None and not settings.input_frame.is_image:
         return ConversionOutcome({'messages_without_image_size': 1}, _no_size(['no boxes']))
     batch = Batch(data, input_type, settings, image_size)
@@ -130,7 +131,7 @@ def answer(
         outputs.boxes.publish(batch.boxes_message())
         # Only now, so that the boxes do not wait for it.
         wants_crops = _crops_wanted(outputs)
-    counts, complaints = batch.counts, {}
+    counts, complaints = batch.counts | used, {}
     if image_size is None:
         missed = ['no crop regions'] if any(wants_crops) else []
         if wants_boxes and settings.clip_boxes:
@@ -146,6 +147,19 @@ def answer(
         counts[doubt.key] = len(doubt.rows)
         complaints[doubt.key] = text
     return ConversionOutcome(counts, complaints)
+
+
+def _image_size(
+    settings: ConversionSettings, camera: CameraChoice[WireCamera] | None
+) -> tuple[tuple[int, int] | None, dict[str, int]]:
+    """Return the size of the image, None if it is unknown, and count the camera that gave it."""
+    width, height = settings.image_size
+    used = {}
+    if camera is not None and not (width and height):
+        used[camera.key] = 1
+        seen = camera.camera.image_size
+        width, height = width or seen[0], height or seen[1]
+    return ((width, height) if width and height else None), used
 
 
 def _crops_wanted(outputs: Outputs) -> tuple[bool, bool]:

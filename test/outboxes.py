@@ -107,7 +107,7 @@ def _chips_of(
                 'codec': codec,
                 'bytes': len(chip),
                 'sha256': sha256(chip).hexdigest(),
-                'camera_matrix': None,
+                'camera': None,
             },
             chip,
         )

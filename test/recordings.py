@@ -115,8 +115,9 @@ def header(stamp: int) -> Any:
     return build('std_msgs/msg/Header', stamp=time, frame_id='camera')
 
 
-def camera_info(width: int, height: int) -> bytes:
-    return pack('CameraInfo', build('CameraInfo', header=header(1), width=width, height=height))
+def camera_info(width: int, height: int, stamp: int = 1) -> bytes:
+    made = build('CameraInfo', header=header(stamp), width=width, height=height)
+    return pack('CameraInfo', made)
 
 
 def detections(kind: str, rows: Any, stamp: int = 1, little_endian: bool = True) -> bytes:

@@ -31,7 +31,7 @@ FACTS = {
     'detection_ids': ['7'],
     'obb': [25.0, 40.0, 38.0, 12.0, 0.3],
     'codec': 'jpeg',
-    'camera_matrix': None,
+    'camera': None,
 }
 
 

@@ -45,6 +45,8 @@ from obbhbb_ros.bags.topics import Topics
 from obbhbb_ros.bags.topics import add_output
 from obbhbb_ros.bags.topics import add_topics
 from obbhbb_ros.bags.topics import choose
+from obbhbb_ros.downlink.cameras import CameraChoice
+from obbhbb_ros.downlink.cameras import CameraMemory
 from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.files import making
 from obbhbb_ros.pipeline import Output
@@ -55,8 +57,10 @@ from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.settings.parameter_file import Values
 from obbhbb_ros.settings.parameter_file import read_values
 from obbhbb_ros.wire.buffer import WireError
-from obbhbb_ros.wire.image import read_image_size
+from obbhbb_ros.wire.camera import WireCamera
+from obbhbb_ros.wire.camera import read_camera
 from obbhbb_ros.wire.layouts import INPUT_TYPES
+from obbhbb_ros.wire.stamp import stamp_at_start
 
 # Converting more messages than this takes longer than starting processes for it.
 FEW_MESSAGES = 4000
@@ -74,8 +78,8 @@ MAX_WAITING_STRETCHES = 8
 Report: TypeAlias = Callable[[str], None]
 Progress: TypeAlias = Callable[[Iterable[Any], int], Iterable[Any]]
 
-_Input: TypeAlias = tuple[bytes, tuple[int, int]]
-"""A message to be converted, and width and height in the last camera info before it."""
+_Input: TypeAlias = tuple[bytes, CameraChoice[WireCamera] | None]
+"""A message to be converted, and its camera: of its stamp, else the last one before it."""
 
 
 class DamagedBagError(ObbhbbError, ValueError):
@@ -314,11 +318,11 @@ def answers_to(
 ) -> list[_Answer]:
     """Convert messages as the node would."""
     answers = []
-    for data, camera_size in inputs:
+    for data, camera in inputs:
         messages: dict[int, bytes] = {}
         outputs = Outputs(*(Output(partial(messages.__setitem__, i)) for i in range(len(OUTPUTS))))
         try:
-            outcome = answer(data, INPUT_TYPES[input_type], settings, camera_size, outputs)
+            outcome = answer(data, INPUT_TYPES[input_type], settings, camera, outputs)
         except WireError as error:
             complaints = {UNREADABLE: f'cannot be read: {error}'}
             answers.append(_Answer({}, {'messages_unreadable': 1}, complaints))
@@ -335,8 +339,8 @@ class _Replay:
     settings: ConversionSettings
     report: Report
     tally: BagTally
-    camera_size: tuple[int, int] = (0, 0)
-    cameras: int = 0
+    cameras: CameraMemory[WireCamera] = field(default_factory=CameraMemory[WireCamera])
+    camera_messages: int = 0
     complaints: set[str] = field(default_factory=set)
 
     def write(
@@ -390,26 +394,30 @@ class _Replay:
         """Divide the messages into stretches of about `STRETCH_BYTES`."""
         stretch, size = _Stretch([], []), 0
         for message in messages:
-            connection, _, data = message
+            connection, moment, data = message
             stretch.messages.append(message)
             size += len(data)
             if self._is_input(connection):
-                stretch.inputs.append((data, self.camera_size))
+                stretch.inputs.append((data, self.cameras.choice(stamp_at_start(data))))
             elif self._is_camera_info(connection):
-                self._learn_size(connection, data)
+                self._keep_camera(connection, moment, data)
             if size > STRETCH_BYTES:
                 yield stretch
                 stretch, size = _Stretch([], []), 0
         yield stretch
 
-    def _learn_size(self, connection: Connection, data: bytes) -> None:
-        """Take the size of the image from a camera info."""
-        self.cameras += 1
+    def _keep_camera(self, connection: Connection, moment: int, data: bytes) -> None:
+        """Keep a camera for the detections that follow it."""
+        self.camera_messages += 1
         try:
-            self.camera_size = read_image_size(data)
+            camera = read_camera(data)
         except WireError as error:
             self.tally.counts['messages_unreadable'] += 1
-            self.report(f'message {self.cameras} on {connection.topic} cannot be read: {error}')
+            self.report(
+                f'message {self.camera_messages} on {connection.topic} cannot be read: {error}'
+            )
+        else:
+            self.cameras.add(camera.stamp, camera, moment / 1e9)
 
     def _noted(self, answer: _Answer) -> dict[int, bytes]:
         """Count and report what became of a message; complaints about every message only once."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from typing import Any
+from typing import NamedTuple
 
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
@@ -11,53 +12,53 @@ from sensor_msgs.msg import RegionOfInterest
 
 from obbhbb_ros.downlink.chips import Region
 from obbhbb_ros.wire.buffer import WireError
+from obbhbb_ros.wire.camera import WireCamera
+from obbhbb_ros.wire.camera import read_camera
 from obbhbb_ros.wire.image import WireImage
-from obbhbb_ros.wire.image import read_image_size
 
 # Maximum of the numbers in a region of interest.
 _MAX_UINT32 = 2**32 - 1
 
 
-class LatestCameraInfo:
+class Camera(NamedTuple):
     """
-    The latest message on `camera_info`.
+    A message on `camera_info`.
 
     Attributes
     ----------
-    image_size : tuple of int
-        Width and height of the images that it describes, pixels; 0 before the first message.
+    facts : WireCamera
+        The camera.
+    message : sensor_msgs.msg.CameraInfo
+        The message.
     """
 
-    def __init__(self) -> None:
-        self.image_size = (0, 0)
-        self._info = CameraInfo()
+    facts: WireCamera
+    message: Any
 
-    def update(self, data: bytes) -> None:
-        """Take a serialized camera info; WireError if it cannot be read."""
-        size = read_image_size(data)
-        try:
-            info = deserialize_message(data, CameraInfo)
-        except Exception as error:
-            # For example, a string that is not UTF-8.
-            raise WireError(str(error)) from None
-        ends = [
-            start + length * max(binning, 1)
-            for start, length, binning in zip(
-                (info.roi.x_offset, info.roi.y_offset),
-                size,
-                (info.binning_x, info.binning_y),
-                strict=True,
-            )
-        ]
-        if max(ends) > _MAX_UINT32:
-            raise WireError(f'a region of interest up to {ends[0]}, {ends[1]}')
-        self._info, self.image_size = info, size
 
-    def info_for(self, image: WireImage) -> Any:
-        """Return the latest camera info if it fits the image, else one with the size alone."""
-        if self.image_size == (image.width, image.height):
-            return self._info
-        return CameraInfo(width=image.width, height=image.height)
+def camera_of(data: bytes) -> Camera:
+    """Read a serialized camera info; WireError if it cannot be read, or no chip has a place."""
+    facts = read_camera(data)
+    try:
+        message = deserialize_message(data, CameraInfo)
+    except Exception as error:
+        # For example, a string that is not UTF-8.
+        raise WireError(str(error)) from None
+    # The image may be a pixel larger.
+    ends = [
+        start + (length + 1) * binning
+        for start, length, binning in zip(
+            facts.roi[:2], facts.image_size, facts.binning, strict=True
+        )
+    ]
+    if max(ends) > _MAX_UINT32:
+        raise WireError(f'a region of interest up to {ends[0]}, {ends[1]}')
+    return Camera(facts, message)
+
+
+def sized(image: WireImage) -> Any:
+    """Return a camera info that knows no more than the size of an image."""
+    return CameraInfo(width=image.width, height=image.height)
 
 
 def region_of_interest(info: Any, region: Region) -> Any:

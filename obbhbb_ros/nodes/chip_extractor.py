@@ -17,6 +17,7 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.downlink.budget import FrameBudget
 from obbhbb_ros.downlink.budget import TokenBucket
+from obbhbb_ros.downlink.cameras import CameraMemory
 from obbhbb_ros.downlink.chips import ChipCutter
 from obbhbb_ros.downlink.chips import ChipError
 from obbhbb_ros.downlink.chips import Dropped
@@ -35,7 +36,9 @@ from obbhbb_ros.downlink.joiner import PairLimits
 from obbhbb_ros.downlink.joiner import StampCache
 from obbhbb_ros.downlink.joiner import Unpaired
 from obbhbb_ros.downlink.stamps import ChipStamps
-from obbhbb_ros.nodes.camera_info import LatestCameraInfo
+from obbhbb_ros.nodes.camera_info import Camera
+from obbhbb_ros.nodes.camera_info import camera_of
+from obbhbb_ros.nodes.camera_info import sized
 from obbhbb_ros.nodes.chip_topics import ChipTopics
 from obbhbb_ros.nodes.chip_topics import FrameTopics
 from obbhbb_ros.nodes.image_input import image_input
@@ -141,11 +144,11 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self.reporter.add_facts(self._facts)
 
     def configure(self) -> None:
-        """Open the spool, and forget the camera."""
+        """Open the spool, and forget the cameras."""
         # If Pillow is missing, fail here and not at the first chip.
         import PIL.Image  # noqa: F401
 
-        self._camera = LatestCameraInfo()
+        self._cameras = CameraMemory[Camera]()
         path = self.parameters.settings.spool_path
         if path:
             self._spool = SpoolWriter(Path(path), self._warn_of_spool)
@@ -187,8 +190,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         return settings
 
     def _on_camera_info(self, data: bytes) -> None:
-        """Keep the latest camera info."""
-        self._camera.update(data)
+        """Keep the camera for the image of its stamp."""
+        camera = camera_of(data)
+        self._cameras.add(camera.facts.stamp, camera, time.monotonic())
 
     def _on_sources(self, data: bytes) -> None:
         """Keep the sources of a plan until its image is cut."""
@@ -308,13 +312,22 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         layout = pixel_format(image.encoding, codec, develop)
         warn = partial(self._warn_of_failure, image, codec)
         cutter = ChipCutter(view_of(image, develop), layout, settings.codec, warn)
-        camera = self._camera.info_for(image)
-        link = self._link(image, plan, camera, settings) if is_wanted else None
+        camera = self._camera_of(image)
+        message = sized(image) if camera is None else camera.message
+        link = self._link(image, plan, message, settings) if is_wanted else None
         record = None
         if planned.ticket is not None:
             matching = self._matching(plan, sources)
-            record = recorder_of(image, plan, matching, codec, camera.k.tolist())
+            record = recorder_of(image, plan, matching, codec, camera and camera.facts)
         frame.run(cutter.cut, link, record)
+
+    def _camera_of(self, image: WireImage) -> Camera | None:
+        """Return the camera of an image, by its stamp or else the latest; None if none fits."""
+        choice = self._cameras.choice(image.stamp)
+        if choice is None or not choice.camera.facts.fits((image.width, image.height)):
+            return None
+        self.monitor.add(choice.key)
+        return choice.camera
 
     def _link(
         self, image: WireImage, plan: WirePlan, camera: CameraInfo, settings: ChipSettings

@@ -9,14 +9,17 @@ from typing import Any
 from sensor_msgs.msg import CameraInfo
 from vision_msgs.msg import Detection2DArray
 
+from obbhbb_ros.downlink.cameras import CameraMemory
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.pipeline import Outputs
 from obbhbb_ros.pipeline import answer
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
-from obbhbb_ros.wire.image import read_image_size
+from obbhbb_ros.wire.camera import WireCamera
+from obbhbb_ros.wire.camera import read_camera
 from obbhbb_ros.wire.layouts import INPUT_TYPES
+from obbhbb_ros.wire.stamp import stamp_at_start
 
 
 class ObbToHbb(ManagedNode[ConversionSettings]):
@@ -54,8 +57,8 @@ class ObbToHbb(ManagedNode[ConversionSettings]):
         self.reporter.add_facts(self._facts)
 
     def configure(self) -> None:
-        """Forget the camera."""
-        self._camera_size = (0, 0)
+        """Forget the cameras."""
+        self._cameras = CameraMemory[WireCamera]()
         self._answers = Outputs(*(Output(topic.publish, topic.wanted) for topic in self._outputs))
 
     def _facts(self) -> dict[str, str]:
@@ -67,14 +70,16 @@ class ObbToHbb(ManagedNode[ConversionSettings]):
         return {'crop_pixels.saved_percent': f'{100.0 * saved:.1f}'}
 
     def _on_camera_info(self, data: bytes) -> None:
-        """Learn the size of the image."""
-        self._camera_size = read_image_size(data)
+        """Keep the camera for the detections of its stamp."""
+        camera = read_camera(data)
+        self._cameras.add(camera.stamp, camera, time.monotonic())
 
     def _on_message(self, data: bytes) -> None:
         """Convert a message under one snapshot of the parameters; publish what has subscribers."""
         started = time.perf_counter()
         settings = self.parameters.settings
-        outcome = answer(data, self._input_type, settings, self._camera_size, self._answers)
+        camera = self._cameras.choice(stamp_at_start(data))
+        outcome = answer(data, self._input_type, settings, camera, self._answers)
         self.monitor.counts.update(outcome.counts)
         if 'messages_without_subscriber' in outcome.counts:
             return

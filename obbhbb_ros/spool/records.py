@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from obbhbb_ros.downlink.chips import EncodedChip
 from obbhbb_ros.spool.chip_rows import NewChip
+from obbhbb_ros.wire.camera import WireCamera
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.plans import Source
 from obbhbb_ros.wire.plans import WirePlan
@@ -19,7 +20,7 @@ def recorder_of(
     plan: WirePlan,
     sources: Sequence[Source],
     codec: str,
-    camera_matrix: Sequence[float],
+    camera: WireCamera | None,
 ) -> Callable[[EncodedChip], NewChip]:
     """
     Return a function that makes the records of the chips of a frame.
@@ -35,15 +36,15 @@ def recorder_of(
         the score is the value.
     codec : str
         Name of the codec.
-    camera_matrix : sequence of float
-        K of the camera, 9 numbers row by row; zeros if it is not known.
+    camera : WireCamera or None
+        The camera of the image, if it is known.
     """
     detection_ids = plan.detection_ids()
     common = {
         'frame_id': image.frame_id,
         'image_size': [image.width, image.height],
         'codec': codec,
-        'camera_matrix': _finite(camera_matrix if any(camera_matrix) else ()),
+        'camera': None if camera is None else _camera_facts(camera),
     }
 
     def record(chip: EncodedChip) -> NewChip:
@@ -60,6 +61,18 @@ def recorder_of(
         return NewChip(source.value, class_id, image.stamp, facts, chip.data)
 
     return record
+
+
+def _camera_facts(camera: WireCamera) -> dict[str, object]:
+    """List what the ground needs to turn pixels of the image into directions."""
+    return {
+        'size': camera.size,
+        'k': _finite(camera.k if any(camera.k) else ()),
+        'model': camera.model,
+        'd': _finite(camera.d),
+        'roi': camera.roi,
+        'binning': camera.binning,
+    }
 
 
 def _finite(numbers: Sequence[float]) -> list[float] | None:

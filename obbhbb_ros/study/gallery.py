@@ -263,6 +263,23 @@ def _ends_in_size(count: int) -> Callable[[Any], bool]:
     return lambda value: _is_list(count, _is_whole)(value) and min(value[-2:]) > 0
 
 
+_CAMERA: dict[str, Callable[[Any], bool]] = {
+    'size': _is_list(2, _is_whole),
+    'k': _or_null(_is_list(9, _is_number)),
+    'model': _is_text,
+    'd': _or_null(_is_list(None, _is_number)),
+    'roi': _is_list(4, _is_whole),
+    'binning': _is_list(2, _is_whole),
+}
+
+
+def _is_camera(value: Any) -> bool:
+    """Return whether a value describes a camera."""
+    return isinstance(value, dict) and all(
+        name in value and is_right(value[name]) for name, is_right in _CAMERA.items()
+    )
+
+
 _KEYS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     'id': ('a text', _is_text),
     'stamp': ('sec and nanosec', _is_stamp),
@@ -277,7 +294,7 @@ _KEYS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     'codec': (f'one of {", ".join(CODECS)}', lambda value: value in list(CODECS)),
     'bytes': ('a whole number', _is_whole),
     'sha256': ('a text', _is_text),
-    'camera_matrix': ('nine numbers or null', _or_null(_is_list(9, _is_number))),
+    'camera': ('an object with size, k, model, d, roi and binning, or null', _or_null(_is_camera)),
 }
 
 

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`sensor_msgs/Image` and `sensor_msgs/CameraInfo`, read from their bytes."""
+"""`sensor_msgs/Image` and `sensor_msgs/CompressedImage`, read from their bytes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from obbhbb_ros.wire.buffer import WireError
-from obbhbb_ros.wire.layouts import CAMERA_INFO
 from obbhbb_ros.wire.layouts import COMPRESSED_IMAGE
 from obbhbb_ros.wire.layouts import IMAGE
 from obbhbb_ros.wire.stamp import Stamp
@@ -106,33 +104,3 @@ def read_compressed_image(data: bytes) -> CompressedWireImage:
         format=buffer.text(places['format']),
         data=buffer.content(places['data']),
     )
-
-
-def read_image_size(data: bytes) -> tuple[int, int]:
-    """
-    Read the size of the image that a camera info describes.
-
-    Parameters
-    ----------
-    data : bytes
-        A serialized `sensor_msgs/CameraInfo`, as `read_image` takes an image.
-
-    Returns
-    -------
-    tuple of int
-        Width and height after region of interest and binning, pixels.
-
-    Raises
-    ------
-    WireError
-        If the bytes are no such message, or a side is longer than `IMAGE_SIZE_LIMIT`.
-    """
-    buffer, places = read_struct(data, CAMERA_INFO)
-    height, width = buffer.numbers(places['height'], '2I')
-    binning_x, binning_y, _, _, roi_height, roi_width = buffer.numbers(places['binning_x'], '6I')
-    if roi_width and roi_height:
-        width, height = roi_width, roi_height
-    width, height = width // max(binning_x, 1), height // max(binning_y, 1)
-    if max(width, height) > IMAGE_SIZE_LIMIT:
-        raise WireError(f'an image of {width} x {height} pixels')
-    return width, height

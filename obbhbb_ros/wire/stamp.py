@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stamp of a message: seconds and nanoseconds."""
 
+import struct
+
 Stamp = tuple[int, int]
 """Seconds and nanoseconds, as `builtin_interfaces/Time` has them."""
+# Behind an encapsulation header of four bytes.
+_STAMP_ENDS = 12
 
 
 def stamp_text(stamp: Stamp) -> str:
@@ -28,3 +32,19 @@ def nanoseconds_of(stamp: Stamp) -> int:
     5000000020
     """
     return stamp[0] * 1_000_000_000 + stamp[1]
+
+
+def stamp_at_start(data: bytes) -> Stamp:
+    """
+    Read the stamp of a serialized message that starts with a header; zero if there is none.
+
+    Examples
+    --------
+    >>> stamp_at_start(bytes([0, 1, 0, 0, 5, 0, 0, 0, 20, 0, 0, 0]))
+    (5, 20)
+    """
+    if len(data) < _STAMP_ENDS:
+        return 0, 0
+    order = '<' if data[1] else '>'
+    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, 4)
+    return seconds, nanoseconds

@@ -173,7 +173,14 @@ class Scene:
             'frame_id': 'camera',
             'image_size': list(self._labels.size),
             'codec': 'jpeg',
-            'camera_matrix': [1500.0, 0.0, 512.0, 0.0, 1500.0, 384.0, 0.0, 0.0, 1.0],
+            'camera': {
+                'size': [1024, 768],
+                'k': [1500.0, 0.0, 512.0, 0.0, 1500.0, 384.0, 0.0, 0.0, 1.0],
+                'model': 'plumb_bob',
+                'd': [0.0, 0.0, 0.0, 0.0, 0.0],
+                'roi': [0, 0, 1024, 768],
+                'binning': [1, 1],
+            },
         }
         return NewChip(value, self._labels.class_ids[row], (int(time), 0), facts, chip.data)
 

@@ -44,9 +44,9 @@ from obbhbb_ros.downlink.chips import view_of
 from obbhbb_ros.pipeline import Batch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.wire.buffer import WireError
+from obbhbb_ros.wire.camera import read_camera
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import read_image
-from obbhbb_ros.wire.image import read_image_size
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 from obbhbb_ros.wire.plans import WirePlan
 from obbhbb_ros.wire.plans import read_sources
@@ -195,7 +195,7 @@ def regions_check(data: bytes) -> str:
 def camera_check(data: bytes) -> str:
     """Do with a camera info what the conversion node does."""
     try:
-        width, height = read_image_size(data)
+        width, height = read_camera(data).image_size
     except WireError:
         return 'refused'
     assert width >= 0 <= height

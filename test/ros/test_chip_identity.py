@@ -217,9 +217,46 @@ def test_the_place_is_in_pixels_of_the_camera_if_the_image_is_a_part_of_it_or_bi
 
 
 def test_a_camera_of_another_size_is_not_that_of_the_image(node: ChipNode) -> None:
-    found = seen_by(node, camera(SIDE + 1, SIDE))
+    found = seen_by(node, camera(SIDE + 2, SIDE))
     assert (found.width, found.height) == (SIDE, SIDE)
     assert not found.k.any()
+
+
+def test_a_region_of_interest_that_is_a_pixel_off_keeps_the_camera(node: ChipNode) -> None:
+    info = camera(2 * SIDE, 2 * SIDE)
+    info.binning_x, info.binning_y = 2, 2
+    info.roi = RegionOfInterest(width=2 * SIDE - 1, height=2 * SIDE + 2)
+    found = seen_by(node, info)
+    assert (found.width, found.height) == (2 * SIDE, 2 * SIDE)
+    assert found.k.tolist() == info.k.tolist()
+    assert found.roi == RegionOfInterest(x_offset=40, y_offset=60, width=80, height=40)
+
+
+def test_a_chip_has_the_camera_of_its_image_though_its_plan_comes_late(node: ChipNode) -> None:
+    cameras = node.heard_publisher(CameraInfo, 'camera_info')
+    before = node.counts()
+    headers = [node.stamp() for _ in range(5)]
+    for i, header in enumerate(headers):
+        info = camera(4000, 3000)
+        info.header = header
+        info.roi = RegionOfInterest(x_offset=100 * i, y_offset=10 * i, width=SIDE, height=SIDE)
+        cameras.publish(info)
+    # All cameras are known before the first image is cut.
+    node.counts()
+    node.forget()
+    for header in headers:
+        send(node, 1, header)
+    node.wait(lambda: len(node.infos) == 5, 'five chips')
+    places = {info.header.stamp.sec: (info.roi.x_offset, info.roi.y_offset) for info in node.infos}
+    x, y = places[headers[0].stamp.sec]
+    assert places == {
+        header.stamp.sec: (x + 100 * i, y + 10 * i) for i, header in enumerate(headers)
+    }
+    assert node.counts().since(before, 'camera_info') == {'camera_info_by_stamp': 5}
+    send(node, 1, node.stamp())
+    node.wait(lambda: len(node.infos) == 6, 'a chip of an image without a camera of its stamp')
+    assert node.infos[-1].roi.x_offset == x + 400
+    assert node.counts().since(before, 'camera_info')['camera_info_latest'] == 1
 
 
 def test_stamps_that_differ_by_no_more_than_the_slop_are_paired(node: ChipNode) -> None:

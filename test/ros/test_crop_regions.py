@@ -372,3 +372,34 @@ def test_camera_info_counts_for_the_detections_that_follow_it(unsized: Converter
         widths.append(corners(unsized.convert(ship, crops))[0, 2])
         crops.clear()
     assert widths == list(range(100, 200))
+
+
+def test_detections_have_the_size_of_their_image_though_they_come_late(
+    start: Callable[..., Converter],
+) -> None:
+    node = start()
+    crops = node.peer.collect(Detection2DArray, 'crop_regions')
+    camera = node.heard_publisher(CameraInfo, 'camera_info')
+    node.send_until(
+        lambda: camera.publish(info(320, 240)) or node.send(detections([SHIP])),
+        lambda: crops,
+        'the first region',
+    )
+    before = node.counts()
+    messages = [detections([(0.0, 0.0, 1e5, 1e5, 0.0)]) for _ in range(6)]
+    for i, message in enumerate(messages):
+        node.stamped(message)
+        binned = info(1280, 960)
+        binned.binning_x = binned.binning_y = 1 + i % 2
+        binned.header = message.header
+        camera.publish(binned)
+    # All have arrived before the first detections.
+    node.counts()
+    crops.clear()
+    for message in messages:
+        node.publisher.publish(message)
+    node.wait(lambda: len(crops) == 6, 'six plans')
+    assert [corners(plan)[0, 2] for plan in crops] == [1280, 640] * 3
+    assert node.counts().since(before, 'camera_info') == {'camera_info_by_stamp': 6}
+    node.convert(detections([SHIP]), crops)
+    assert node.counts()['camera_info_latest'] >= 1

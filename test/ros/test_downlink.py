@@ -160,7 +160,17 @@ def test_what_is_stored_is_released_with_everything_that_is_known_of_it(
             detection.id = f'track {i}'
             detection.results[0].hypothesis.class_id = ('tug', 'ferry', 'barge')[i]
             detection.results[0].hypothesis.score = (0.7, 0.9, 0.6)[i]
-        camera = CameraInfo(width=256, height=256, k=np.arange(1.0, 10.0))
+        camera = CameraInfo(
+            width=1000,
+            height=800,
+            distortion_model='plumb_bob',
+            d=[0.1, -0.2, 0.0, 0.0, 0.5],
+            k=np.arange(1.0, 10.0),
+            binning_x=2,
+            binning_y=3,
+        )
+        camera.roi.x_offset, camera.roi.y_offset = 70, 20
+        camera.roi.width, camera.roi.height = 512, 768
         cameras.publish(camera)
         before = chips.counts()
         number = send(message)
@@ -215,7 +225,14 @@ def test_what_is_stored_is_released_with_everything_that_is_known_of_it(
             'value': score,
             'detection_ids': [f'track {i}'],
             'codec': 'png',
-            'camera_matrix': list(range(1, 10)),
+            'camera': {
+                'size': [1000, 800],
+                'k': list(range(1, 10)),
+                'model': 'plumb_bob',
+                'd': [0.1, -0.2, 0.0, 0.0, 0.5],
+                'roi': [70, 20, 512, 768],
+                'binning': [2, 3],
+            },
             'bytes': chip.stat().st_size,
             'sha256': hashlib.sha256(chip.read_bytes()).hexdigest(),
         }

@@ -30,7 +30,7 @@ from obbhbb_ros.nodes.play_detections import yolo_message
 from obbhbb_ros.pipeline import Batch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.wire.buffer import WireError
-from obbhbb_ros.wire.image import read_image_size
+from obbhbb_ros.wire.camera import read_camera
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 DATA = Path(__file__).parents[1] / 'data'
@@ -271,4 +271,7 @@ def test_the_size_of_an_image_is_that_after_region_of_interest_and_binning(
     )
     wanted = roi if all(roi) else size
     expected = tuple(side // max(by, 1) for side, by in zip(wanted, binning, strict=True))
-    assert read_image_size(serialize_message(info)) == expected
+    camera = read_camera(serialize_message(info))
+    assert camera.image_size == expected
+    assert (camera.size, camera.model, camera.d, camera.k) == (size, model, tuple(d), (0.0,) * 9)
+    assert camera.binning == tuple(max(by, 1) for by in binning)

@@ -430,6 +430,31 @@ def test_crop_regions_begin_with_the_first_camera_info_as_in_the_node(
     assert answers(tmp_path / 'out') == (boxes, regions[4:])
 
 
+def test_detections_have_the_size_of_the_camera_info_of_their_stamp(
+    tmp_path: Path, run: Any
+) -> None:
+    sizes = [(2000, 1500), (1000, 750), (500, 375)]
+    cameras = [
+        Recorded('/camera_info', SECOND + i, camera_info(*size, stamp=7 + i))
+        for i, size in enumerate(sizes)
+    ]
+    # All cameras come before the first detections; one of these has none of its stamp.
+    inputs = [
+        Recorded('/detections', 2 * SECOND + i, detections('Detection2DArray', ROWS[0], stamp))
+        for i, stamp in enumerate((7, 8, 9, 20))
+    ]
+    record(tmp_path / 'in', TOPICS, [*cameras, *inputs])
+    code, out, _ = run()
+    assert code == 0
+    _, regions = answers(tmp_path / 'out')
+    expected_regions = []
+    for message, size in zip(inputs, [*sizes, sizes[-1]], strict=True):
+        expected_regions += expected([message], size=size)[1]
+    assert regions == expected_regions
+    assert 'camera_info_by_stamp: 3' in out
+    assert 'camera_info_latest: 1' in out
+
+
 def test_a_message_that_cannot_be_read_is_reported_by_its_number_and_kept(
     tmp_path: Path, run: Any
 ) -> None:

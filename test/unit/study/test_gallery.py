@@ -220,6 +220,14 @@ def test_hostile_texts_are_shown_as_they_are_and_do_nothing(tmp_path, capsys) ->
         assert '0/\\udcff/\\x1b[2J.jpg: no usable JSON; 1 such files in all' in said
 
 
+CAMERA = {
+    'size': [8, 8],
+    'k': None,
+    'model': 'plumb_bob',
+    'd': [],
+    'roi': [0, 0, 8, 8],
+    'binning': [1, 1],
+}
 WRONG = [
     ('id', 5),
     ('stamp', 1.5),
@@ -250,7 +258,10 @@ WRONG = [
     ('codec', ['png']),
     ('bytes', -1),
     ('sha256', 7),
-    ('camera_matrix', [1.0]),
+    ('camera', [1.0]),
+    ('camera', {'size': [8, 8]}),
+    ('camera', CAMERA | {'k': [1.0]}),
+    ('camera', CAMERA | {'roi': [0, 0, 8]}),
 ]
 
 

@@ -11,8 +11,8 @@ import pytest
 from cdr import Writer
 
 from obbhbb_ros.wire.buffer import WireError
+from obbhbb_ros.wire.camera import read_camera
 from obbhbb_ros.wire.detections import Detections
-from obbhbb_ros.wire.image import read_image_size
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 MANY = 2**32 - 1
@@ -105,7 +105,7 @@ def test_an_image_that_cannot_be_is_no_image_size(width: int, readable: bool) ->
         writer.number('I', 0)
     writer.data += b'\0'
     if readable:
-        assert read_image_size(message(writer)) == (width, 480)
+        assert read_camera(message(writer)).image_size == (width, 480)
     else:
         with pytest.raises(WireError, match=f'image of {width} x 480 pixels'):
-            read_image_size(message(writer))
+            read_camera(message(writer))
