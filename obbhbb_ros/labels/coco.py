@@ -200,11 +200,16 @@ def _annotation_records(
     return records
 
 
+def _sniff(head: str) -> bool:
+    # An array of tasks with annotations is an export of Label Studio.
+    return not head.lstrip().startswith('[') and any(mark in head for mark in MARKS)
+
+
 FORMAT = Format(
     name='coco',
     suffixes=('.json',),
     summary='COCO JSON of many images: polygon segmentation, bbox as reference box',
-    sniff=lambda head: any(mark in head for mark in MARKS),
+    sniff=_sniff,
     read=_read,
     write_boxes=_write_boxes,
     holds=('diagnostics', 'scores', 'ids', 'image sizes', 'images without boxes'),

@@ -87,27 +87,18 @@ def _read_rows(
     lines = text.filled_lines(file)
     number, _, header = next(lines, (None, '', ''))
     try:
-        columns = [column.strip() for column in _split_row(header)]
+        columns = [column.strip() for column in text.split_row(header)]
         parse = parser_for(columns)
     except ValueError as error:
         raise file.error(str(error), number) from None
 
     def parse_line(line: str) -> Item:
-        fields = _split_row(line)
+        fields = text.split_row(line)
         if len(fields) != len(columns):
             raise ValueError(f'{len(fields)} fields, the header has {len(columns)}')
         return parse(fields)
 
     return file.parse_records(lines, parse_line)
-
-
-def _split_row(line: str) -> list[str]:
-    if '"' not in line:
-        return line.split(',')
-    try:
-        return next(csv.reader([line], strict=True))
-    except csv.Error as error:
-        raise ValueError(f'not a CSV row: {error}') from None
 
 
 def _row_parser(columns: list[str]) -> Callable[[list[str]], tuple[str, Box | None]]:

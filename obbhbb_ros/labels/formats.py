@@ -20,7 +20,10 @@ from obbhbb_ros.labels import csv_tables
 from obbhbb_ros.labels import dota
 from obbhbb_ros.labels import geojson
 from obbhbb_ros.labels import hrsc
+from obbhbb_ros.labels import label_studio
+from obbhbb_ros.labels import labelme
 from obbhbb_ros.labels import shapefile
+from obbhbb_ros.labels import ultralytics_json
 from obbhbb_ros.labels import voc
 from obbhbb_ros.labels import yolo
 from obbhbb_ros.labels.folders import label_files
@@ -48,6 +51,9 @@ _ALL = (
     voc.FORMAT,
     coco.FORMAT,
     geojson.FORMAT,
+    labelme.FORMAT,
+    label_studio.FORMAT,
+    ultralytics_json.FORMAT,
     shapefile.FORMAT,
 )
 FORMATS: dict[str, Format] = {entry.name: entry for entry in _ALL}

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import codecs
+import csv
 import math
 from collections.abc import Callable
 from collections.abc import Iterable
@@ -51,6 +52,21 @@ def filled_lines(file: LabelFile) -> Iterator[Record[str]]:
     """Read the lines that are not blank, as records for `LabelFile.parse_records`."""
     lines = text_lines(file.path, file.on_error)
     return ((number, '', line) for number, line in lines if line.strip())
+
+
+def split_row(line: str, separator: str = ',') -> list[str]:
+    """Split a line of a table into fields; raise ValueError if its quotes do not match."""
+    if '"' not in line:
+        return line.split(separator)
+    # The line is in memory already: its fields may be longer than the csv module likes.
+    limit = csv.field_size_limit()
+    csv.field_size_limit(max(limit, len(line)))
+    try:
+        return next(csv.reader([line], strict=True, delimiter=separator))
+    except csv.Error as error:
+        raise ValueError(f'not a CSV row: {error}') from None
+    finally:
+        csv.field_size_limit(limit)
 
 
 def parse_numbers(fields: Iterable[str]) -> list[float]:

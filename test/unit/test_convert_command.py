@@ -195,7 +195,7 @@ def test_images_without_ships_are_valid(source: Path, tmp_path: Path) -> None:
         (['--to', 'dota'], "cannot write axis-aligned boxes as 'dota': use yolo"),
         (['--to', 'yolo', '--diagnostics'], 'cannot hold diagnostics'),
         (['--to', 'yolo'], "image 'P1': YOLO needs its size"),
-        (['--from', 'labelme', '--to', 'csv'], "unknown label format 'labelme'"),
+        (['--from', 'papyrus', '--to', 'csv'], "unknown label format 'papyrus'"),
         ([], 'name the label format to write'),
         (['--to', 'csv', '--q', '0.5'], 'q must be 1 to inf'),
         (['--to', 'csv', '--method', 'magic'], 'magic'),

@@ -47,13 +47,38 @@ SOUND = {
             'geometry': {'type': 'Polygon', 'coordinates': [[[1, 2], [9, 2], [9, 4], [1, 2]]]},
         }],
     }),
+    'labelme': json.dumps({
+        'imagePath': 'a.png', 'imageWidth': 9, 'imageHeight': 9,
+        'shapes': [{
+            'label': 's', 'shape_type': 'polygon', 'group_id': 5, 'score': 0.5,
+            'points': [[1, 2], [9, 2], [9, 4], [1, 4]],
+        }],
+    }),
+    'label_studio': json.dumps([{
+        'id': 1, 'data': {'image': '/data/a.png'},
+        'annotations': [{'created_at': '2026', 'result': [{
+            'id': 'x', 'type': 'rectanglelabels', 'original_width': 9, 'original_height': 9,
+            'value': {
+                'x': 10, 'y': 20, 'width': 80, 'height': 20, 'rotation': 5,
+                'rectanglelabels': ['s'],
+            },
+        }]}],
+    }]),
+    'ultralytics': json.dumps([{
+        'image_id': 'a', 'file_name': 'a.png', 'category_id': 1, 'score': 0.5,
+        'rbox': [5, 3, 8, 2, 0], 'poly': [1, 2, 9, 2, 9, 4, 1, 4],
+    }]),
 }  # fmt: skip
 
+DOCUMENTS = ('coco', 'geojson', 'labelme', 'label_studio', 'ultralytics')
+MEMBERS = ('id', 'type', 'coordinates', 'x', 'value')
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3),
     lambda inner: (
         st.lists(inner, max_size=4)
-        | st.dictionaries(st.sampled_from(['id', 'type', 'coordinates', 'x']), inner, max_size=4)
+        | st.dictionaries(
+            st.sampled_from(['id', 'type', 'coordinates', 'x', 'value']), inner, max_size=4
+        )
     ),
     max_leaves=8,
 )
@@ -104,7 +129,9 @@ def _places(document: object) -> list[tuple[object, ...]]:
     return [(), *((key, *rest) for key, value in items for rest in _places(value))]
 
 
-@pytest.mark.parametrize('format_name', ['coco', 'geojson'])
+@pytest.mark.parametrize(
+    'format_name', ['coco', 'geojson', 'labelme', 'label_studio', 'ultralytics']
+)
 @given(data=st.data(), value=JSON)
 @anywhere
 def test_any_value_in_any_place_of_a_document_ends_in_boxes_or_errors(

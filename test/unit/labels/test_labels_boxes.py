@@ -243,7 +243,7 @@ def test_values_that_a_format_cannot_hold_are_refused_and_nothing_is_written(
         ('out', None, 'name the label format'),
         ('out.pdf', None, 'name the label format'),
         ('out', 'dota', "cannot write axis-aligned boxes as 'dota': use yolo"),
-        ('out', 'labelme', "unknown label format 'labelme'"),
+        ('out', 'papyrus', "unknown label format 'papyrus'"),
         ('out.json', 'shapefile', r'ends in \.shp'),
     ],
 )

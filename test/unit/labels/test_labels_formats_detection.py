@@ -22,7 +22,8 @@ CSV = 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\n'
 
 def test_the_registry_has_every_format_under_its_own_name() -> None:
     assert list(FORMATS) == [
-        'dota', 'yolo_obb', 'yolo', 'csv', 'wkt', 'hrsc', 'voc', 'coco', 'geojson', 'shapefile',
+        'dota', 'yolo_obb', 'yolo', 'csv', 'wkt', 'hrsc', 'voc', 'coco', 'geojson', 'labelme',
+        'label_studio', 'ultralytics', 'shapefile',
     ]  # fmt: skip
     for name, entry in FORMATS.items():
         assert entry.name == name
@@ -59,6 +60,13 @@ def test_the_registry_has_every_format_under_its_own_name() -> None:
         ('a.json', '{"info": {}, "licenses": [], "images": [', 'coco'),
         ('a.json', '{"type": "FeatureCollection", "features": [', 'geojson'),
         ('a.geojson', '{}', 'geojson'),
+        ('a.json', '{"version": "6.3.1", "flags": {}, "shapes": [', 'labelme'),
+        ('a.json', '[{"id": 1, "annotations": [{"result": [', 'label_studio'),
+        ('a.json', '[{"id": 1, "image": "a.png", "annotation_id": 1,', 'label_studio'),
+        ('a.json', '[{"image": "a.png", "label": [{"x": 1, "original_width": 9}', 'label_studio'),
+        ('a.csv', '"annotation_id",annotator,id,image,label,lead_time\n', 'label_studio'),
+        ('a.tsv', 'annotation_id\tannotator\tid\timage\tlabel\tlead_time\n', 'label_studio'),
+        ('a.json', '[{"image_id": "a", "score": 0.9, "rbox": [', 'ultralytics'),
         ('a.shp', '\x00\x00\x27\x0a', 'shapefile'),
         ('a.csv', '', 'csv'),
     ],

@@ -102,8 +102,8 @@ def test_a_folder_without_label_files_is_an_error_even_with_on_error(
 
 
 def test_an_unknown_format_is_an_error_that_lists_all_formats(put: Put) -> None:
-    with pytest.raises(ValueError, match=r"'labelme'.*dota.*yolo_obb.*csv"):
-        read_labels(put('P1.txt', DOTA), 'labelme')
+    with pytest.raises(ValueError, match=r"'papyrus'.*dota.*yolo_obb.*csv"):
+        read_labels(put('P1.txt', DOTA), 'papyrus')
 
 
 @pytest.mark.parametrize('size', [(640,), (640, 480, 3), (0, 480), (640, 0), (640.0, 480), 640])

@@ -103,8 +103,8 @@ def test_the_format_must_be_named_for_any_other_suffix(
 
 
 def test_an_unknown_format_is_refused(make: Make, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="'labelme'"):
-        write_labels(tmp_path, [make()], 'labelme')
+    with pytest.raises(ValueError, match="'papyrus'"):
+        write_labels(tmp_path, [make()], 'papyrus')
 
 
 def test_a_format_that_is_only_read_is_refused(
