@@ -25,7 +25,8 @@ from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
 
-PATHS = ('[{rbox[', '[{poly[')
+PATHS = {'[{image_id', '[{score'}
+BOX_PATHS = {'[{rbox[', '[{poly['}
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
@@ -60,10 +61,15 @@ def _corners(record: dict[str, Any]) -> list[float] | shapes.Corners:
     return shapes.oriented_corners(*documents.json_numbers(record['rbox'], 5, 'rbox'))
 
 
+def _sniff(head: str) -> bool:
+    paths = documents.json_paths(head)
+    return paths >= PATHS and not paths.isdisjoint(BOX_PATHS)
+
+
 FORMAT = Format(
     name='ultralytics',
     suffixes=('.json',),
     summary='predictions.json of Ultralytics OBB models: rbox and poly of many images',
-    sniff=lambda head: not documents.json_paths(head).isdisjoint(PATHS),
+    sniff=_sniff,
     read=_read,
 )

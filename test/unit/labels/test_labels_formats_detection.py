@@ -63,6 +63,7 @@ def test_the_registry_has_every_format_under_its_own_name() -> None:
         ('a.json', '{"version": "6.3.1", "flags": {}, "shapes": [', 'labelme'),
         ('a.json', '[{"id": 1, "annotations": [{"result": [', 'label_studio'),
         ('a.json', '[{"id": 1, "image": "a.png", "annotation_id": 1,', 'label_studio'),
+        ('a.json', '[{"poly": [{"points": [], "original_width": 9}], "id": 1,', 'label_studio'),
         ('a.json', '[{"image": "a.png", "label": [{"x": 1, "original_width": 9}', 'label_studio'),
         ('a.csv', '"annotation_id",annotator,id,image,label,lead_time\n', 'label_studio'),
         ('a.tsv', 'annotation_id\tannotator\tid\timage\tlabel\tlead_time\n', 'label_studio'),
