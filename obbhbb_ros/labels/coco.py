@@ -147,10 +147,7 @@ def _rings(segmentation: object) -> list[FloatArray]:
     rings = []
     for polygon in segmentation:
         numbers = documents.json_numbers(polygon, None, 'segmentation')
-        if len(numbers) < 6 or len(numbers) % 2:
-            count = len(numbers)
-            raise ValueError(f'a polygon has {count} numbers, not x and y of at least three points')
-        rings.append(np.array(numbers).reshape(-1, 2))
+        rings.append(shapes.ring_of_pairs(numbers))
     return rings
 
 

@@ -22,6 +22,7 @@ from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.boxes import range_defect
 from obbhbb_ros.labels.documents import plain_text
+from obbhbb_ros.labels.image_labels import MIN_HULL_POINTS
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.label_file import NO_REFERENCE
 from obbhbb_ros.labels.label_file import Box
@@ -81,6 +82,22 @@ def oriented_corners(x: float, y: float, width: float, height: float, angle: flo
     )  # fmt: skip
 
 
+def turned_box(xyxy: Sequence[float], degrees: float) -> tuple[Corners, Sequence[float]]:
+    """
+    Turn an upright box about its centre by `degrees` clockwise as seen, as CVAT does.
+
+    Returns the corners and the reference box, which is there only if the box is not turned. Raises
+    ValueError if a maximum is below the minimum.
+    """
+    corners = upright_corners(xyxy)
+    if degrees == 0.0:
+        return corners, xyxy
+    x_min, y_min, x_max, y_max = xyxy
+    center = (x_min + x_max) / 2, (y_min + y_max) / 2
+    size = x_max - x_min, y_max - y_min
+    return oriented_corners(*center, *size, math.radians(degrees)), NO_REFERENCE
+
+
 def bow_first(corners: Corners, head: tuple[float, float]) -> tuple[Corners, bool]:
     """
     Order the corners of a box so that the first two are the end where the ship's `head` is.
@@ -129,6 +146,14 @@ def ring_of(values: object) -> FloatArray:
     if ring.ndim != 2 or ring.shape[1] < 2:
         raise ValueError('a ring is not a list of positions')
     return ring if ring.shape[1] == 2 else np.ascontiguousarray(ring[:, :2])
+
+
+def ring_of_pairs(numbers: Sequence[float]) -> FloatArray:
+    """Turn x1 y1 … xK yK into an array of shape (K, 2); raise ValueError unless K >= 3."""
+    if len(numbers) < 2 * MIN_HULL_POINTS or len(numbers) % 2:
+        count = len(numbers)
+        raise ValueError(f'a polygon has {count} numbers, not x and y of at least three points')
+    return np.array(numbers, np.float64).reshape(-1, 2)
 
 
 def outer_rings(geometry: Any) -> list[FloatArray]:

@@ -12,11 +12,21 @@ Pascal-VOC XML: one file per image, in pixels as the file has them.
         <robndbox><cx>135</cx><cy>68</cy><w>110</w><h>30</h><angle>0.36</angle></robndbox>
       </object>
 
-An oriented box is a ``robndbox`` as roLabelImg writes it (radians, clockwise as seen, along ``w``)
-or as DIOR-R has it (``x_left_top`` … ``y_left_bottom``); ``bndbox`` is then the reference box.
-Without a ``robndbox`` the upright box of ``bndbox`` is read. Difficulty and parts of objects are
-not read. The image is named after the label file, since ``filename`` is often that of another
-image.
+The oriented box is one of these; ``bndbox`` beside it is then the reference box:
+
+- ``robndbox`` as roLabelImg writes it: radians, clockwise as seen, along ``w``. In a file with
+  ``polarization`` it is that of RSDD-SAR, whose angle is that of the longer edge: there ``h``.
+- ``robndbox`` as DIOR-R has it: ``x_left_top`` … ``y_left_bottom``.
+- ``rotated_bndbox`` of SSDD: ``x1`` … ``y4``.
+- ``polygon`` as ShipRSImageNet, X-AnyLabeling and supervision write it, ``x1`` … ``yK``: the
+  minimum rotated rectangle. The polygon is also the hull unless it has four corners.
+- ``bndbox`` turned about its centre by the attribute ``rotation``, degrees clockwise as seen, as
+  CVAT and Datumaro write it: ``attributes``, ``attribute``, ``name`` and ``value``. It is then no
+  reference box.
+
+Without any, the upright box of ``bndbox`` is read. An object with another field for an angle is
+refused. Difficulty and parts of objects are not read. The image is named after the label file,
+since ``filename`` is often that of another image.
 
 Coordinates are written to VOC with their fractions: rounding would undo the conversion. ``size`` is
 written if it is known. VOC has no ids and scores: these are not written.
@@ -26,6 +36,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -52,31 +63,73 @@ CORNERS = (
     'x_left_top', 'y_left_top', 'x_right_top', 'y_right_top',
     'x_right_bottom', 'y_right_bottom', 'x_left_bottom', 'y_left_bottom',
 )  # fmt: skip
+DRAWN = ('robndbox', 'rotated_bndbox', 'polygon')
+# Names of an angle whose meaning differs from tool to tool.
+ANGLES = ('angle', 'rotation', 'theta')
+IMAGE = ''
 NOT_IN_XML = re.compile('[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]')
 
 
 def _read(file: LabelFile) -> list[ImageLabels]:
     root, objects = read_objects(file, ROOT, 'object')
-    boxes = [box for _, _, box in file.parse_records(objects, _parse)]
+    # Only RSDD-SAR has it.
+    long_edge = root.find('polarization') is not None
+    records = file.parse_records(objects, partial(_parse, long_edge))
+    boxes = shapes.enclose(file, records).get(IMAGE, [])
     return [file.image(file.path.stem, boxes, size_of(root, 'size/width', 'size/height'))]
 
 
-def _parse(element: Element) -> Box:
+def _parse(long_edge: bool, element: Element) -> shapes.Outlined:
     name = text_of(element, 'name')
     if not name:
         raise ValueError('no <name>')
-    bounds, oriented = element.find('bndbox'), element.find('robndbox')
-    if bounds is None and oriented is None:
-        raise ValueError('neither <bndbox> nor <robndbox>')
-    reference = NO_REFERENCE if bounds is None else numbers_of(bounds, BOUNDS)
-    corners: Sequence[float]
-    if oriented is None:
-        corners = shapes.upright_corners(reference)
-    elif has_any(oriented, CORNERS):
-        corners = numbers_of(oriented, CORNERS)
+    bounds, rotation = element.find('bndbox'), _rotation(element)
+    reference: Sequence[float] = NO_REFERENCE if bounds is None else numbers_of(bounds, BOUNDS)
+    corners: Sequence[float] = ()
+    rings = []
+    drawn = next((node for tag in DRAWN if (node := element.find(tag)) is not None), None)
+    if drawn is None:
+        if bounds is None:
+            raise ValueError(f'none of {", ".join(f"<{tag}>" for tag in ("bndbox", *DRAWN))}')
+        _refuse_angles(element, bounds)
+        corners, reference = shapes.turned_box(reference, rotation)
+    elif rotation != 0.0:
+        raise ValueError(f'a rotation of {rotation:g} beside <{drawn.tag}>: which one holds?')
+    elif drawn.tag == 'robndbox':
+        corners = _oriented(drawn, long_edge)
+    elif drawn.tag == 'rotated_bndbox':
+        corners = numbers_of(drawn, _points(4))
     else:
-        corners = shapes.oriented_corners(*numbers_of(oriented, CENTRED))
-    return Box(corners, name, reference=reference)
+        rings = [shapes.ring_of_pairs(numbers_of(drawn, _points(len(drawn) // 2)))]
+    return shapes.Outlined(IMAGE, Box(corners, name, reference=reference), rings)
+
+
+def _oriented(element: Element, long_edge: bool) -> Sequence[float]:
+    if has_any(element, CORNERS):
+        return numbers_of(element, CORNERS)
+    x, y, width, height, angle = numbers_of(element, CENTRED)
+    if long_edge:
+        width, height = max(width, height), min(width, height)
+    return shapes.oriented_corners(x, y, width, height, angle)
+
+
+def _points(count: int) -> list[str]:
+    return [f'{axis}{number}' for number in range(1, count + 1) for axis in 'xy']
+
+
+def _rotation(element: Element) -> float:
+    """Return the attribute of that name, degrees."""
+    for attribute in element.iterfind('attributes/attribute'):
+        if text_of(attribute, 'name') == 'rotation':
+            return numbers_of(attribute, ('value',))[0]
+    return 0.0
+
+
+def _refuse_angles(*elements: Element) -> None:
+    for element in elements:
+        for tag in ANGLES:
+            if element.find(tag) is not None:
+                raise ValueError(f'<{tag}> in <{element.tag}>: its unit and sense are unknown')
 
 
 def _write(path: Path, images: list[ImageBoxes]) -> None:
@@ -110,7 +163,7 @@ def _add(parent: Element, **texts: str) -> None:
 FORMAT = Format(
     name='voc',
     suffixes=('.xml',),
-    summary='Pascal-VOC XML, one file per image: bndbox, and robndbox of roLabelImg and DIOR-R',
+    summary='Pascal-VOC XML, one file per image: bndbox, oriented by rotation, robndbox or polygon',
     sniff=lambda head: re.search(f'<{ROOT}[ >]', head) is not None,
     read=_read,
     write_boxes=_write,

@@ -85,13 +85,14 @@ def size_of(root: Element, width: str, height: str) -> ImageSize | None:
 
 def numbers_of(element: Element, tags: Sequence[str]) -> list[float]:
     """Return the finite numbers in the children; raise ValueError if one is missing or another."""
+    # The first of several, as `Element.find` has it; a search for each tag would be quadratic.
+    texts = {child.tag: child.text or '' for child in reversed(element)}
     numbers = []
     for tag in tags:
-        text = element.findtext(tag)
-        if text is None:
+        if tag not in texts:
             raise ValueError(f'no <{tag}> in <{element.tag}>')
         try:
-            numbers.append(parse_number(text.strip()))
+            numbers.append(parse_number(texts[tag].strip()))
         except ValueError as error:
             raise ValueError(f'<{tag}>: {error}') from None
     return numbers

@@ -224,7 +224,7 @@ def test_the_caller_overrides_the_image_size_and_an_unusable_one_counts_as_none(
     ('body', 'message'),
     [
         (f'<object>{BNDBOX}</object>', 'no <name>'),
-        (_object(''), 'neither <bndbox> nor <robndbox>'),
+        (_object(''), 'none of <bndbox>, <robndbox>, <rotated_bndbox>, <polygon>'),
         (_object(BNDBOX.replace('190.5', '8')), 'below its minimum'),
         (_object(BNDBOX.replace('190.5', 'x')), "<xmax>: 'x' is not a number"),
         (_object('<robndbox/>'), 'no <cx> in <robndbox>'),
