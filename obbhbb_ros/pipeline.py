@@ -25,6 +25,7 @@ from obbhbb_ros.downlink.crops import CropPlan
 from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.geometry.boxes import Defect
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import count_crossed
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import half_extents
@@ -246,6 +247,8 @@ class Batch:
         if settings.clip_boxes and image_size:
             self._clip(image_size)
         self.counts = {'messages_converted': 1, 'detections_received': len(detections)}
+        if detections.polygons and (crossed := count_crossed(detections.polygons)):
+            self.counts['polygons_reordered'] = crossed
         self.complaint = '' if self._regular else self._count_invalid()
 
     def boxes_message(self) -> bytes:

@@ -30,16 +30,21 @@ import shapely
 from numpy.typing import ArrayLike
 from numpy.typing import NDArray
 
+from obbhbb_ros.geometry.corners import LARGE
+from obbhbb_ros.geometry.corners import SMALL
+from obbhbb_ros.geometry.corners import are_crossed
+from obbhbb_ros.geometry.corners import are_nearly_rectangles
+from obbhbb_ros.geometry.corners import areas_of
+from obbhbb_ros.geometry.corners import boxes_from_quarters
+from obbhbb_ros.geometry.corners import mean_edges
+from obbhbb_ros.geometry.corners import middles_of
+
 __all__ = ['FARTHEST', 'Defect', 'FloatArray', 'OrientedBoxes']
 
 FloatArray: TypeAlias = NDArray[np.float64]
 
 # The number of boxes that are processed at a time, so that the temporaries stay in a core's cache.
 BLOCK = 8192
-
-# Products of numbers below _LARGE do not overflow, areas of sides above _SMALL do not underflow.
-_LARGE = 1e150
-_SMALL = 1e-150
 
 # The largest coordinate of a polygon. Beyond it a double no longer resolves a tenth of a pixel, and
 # GEOS fails: from 1e15 on with an exception or NaN, from 1e154 on, where squares overflow, with a
@@ -154,14 +159,13 @@ class OrientedBoxes:
         Parameters
         ----------
         corners : array_like, shape (N, 4, 2) or (N, 8)
-            x and y of the corners in order around each box, pixels; in either direction, from any
-            corner. Corners that are not exactly a rectangle, for example after rounding, give
-            their mean edges, centred on each axis on the diagonal that is longer along it.
-            Crossed corners have no area and are marked as empty; `from_polygons` accepts vertices
-            in any order.
+            x and y of the corners of each box, pixels, in any order. Corners that are not exactly
+            a rectangle, for example after rounding, give their mean edges, centred on the
+            axis-aligned box around them. If they fill less than 85 % of their minimum rotated
+            rectangle, they outline a hull and give that rectangle.
         bow : bool or ndarray of bool, shape (N,)
             True if the first two corners are the bow end, for all boxes or for each. Where they
-            are a long side the bow is not known.
+            are a long side, or corners are `crossed`, the bow is not known.
 
         Examples
         --------
@@ -169,12 +173,13 @@ class OrientedBoxes:
         >>> boxes.length, boxes.width
         (array([60.]), array([20.]))
         """
-        boxes = _in_blocks(_as_array(corners, 'corners', (4, 2)), _boxes_of_corners)
+        rows = _as_array(corners, 'corners', (4, 2))
+        boxes = _in_blocks(rows, _boxes_of_corners)
         if bow is False:
             return boxes
         # The second edge leads away from the bow.
         ahead, aside = -boxes.second, boxes.first
-        known = _known_bows(ahead, aside, bow)
+        known = _known_bows(ahead, aside, bow) & ~crossed(rows)
         return replace(
             boxes,
             first=np.where(known[:, None], ahead, boxes.first),
@@ -222,7 +227,7 @@ class OrientedBoxes:
     @classmethod
     def from_polygons(cls, polygons: Iterable[ArrayLike | shapely.Geometry]) -> OrientedBoxes:
         """
-        Create the minimum rotated rectangle of each polygon.
+        Create the minimum rotated rectangle of each polygon; of four corners, `from_corners`.
 
         Parameters
         ----------
@@ -242,17 +247,15 @@ class OrientedBoxes:
         'TOO_FEW_POINTS'
         """
         rings = [_vertices(polygon, f'polygons[{i}]') for i, polygon in enumerate(polygons)]
-        defects = np.array([_ring_defect(ring) for ring in rings], np.uint8)
-        corners = np.full((len(rings), 4, 2), np.nan)
-        usable = defects == Defect.NONE
-        if usable.any():
-            corners[usable] = _minimum_rotated_rectangles(
-                [ring for ring, use in zip(rings, usable, strict=True) if use]
-            )
-        boxes = cls.from_corners(corners)
-        defects[usable] = boxes.defects[usable]
-        defects[usable & (defects == Defect.NOT_FINITE)] = Defect.NO_RECTANGLE
-        return replace(boxes, defects=defects)
+        quads = [row for row, ring in enumerate(rings) if is_quadrilateral(ring)]
+        if len(quads) == len(rings):
+            return _boxes_of_quadrilaterals(rings)
+        others = sorted(set(range(len(rings))).difference(quads))
+        parts = (
+            _boxes_of_quadrilaterals([rings[row] for row in quads]),
+            _enclosing_boxes([rings[row] for row in others]),
+        )
+        return cls.concatenate(parts)[np.argsort(quads + others)]
 
     @classmethod
     def concatenate(cls, parts: Iterable[OrientedBoxes]) -> OrientedBoxes:
@@ -489,19 +492,23 @@ def _boxes_of_corners(corners: FloatArray) -> OrientedBoxes:
     """Create boxes from corners, (n, 4, 2)."""
     # One transposed copy, so that everything below runs along contiguous memory.
     quarters = np.multiply(corners.transpose(1, 2, 0), 0.25, order='C')
-    if _all_below_large(quarters):
-        center, first, second = _from_quarters(quarters)
-        if np.minimum.reduce(_areas(first, second), initial=np.inf) > _SMALL**2:
+    below_large = _all_below_large(quarters)
+    if below_large:
+        edges = mean_edges(quarters)
+        if are_nearly_rectangles(edges).all():
+            return _regular_boxes(middles_of(quarters), edges[0], edges[1])
+    with np.errstate(invalid='ignore', over='ignore', divide='ignore'):
+        center, first, second = boxes_from_quarters(quarters)
+        if below_large and np.minimum.reduce(areas_of(first, second)) > SMALL**2:
             return _regular_boxes(center, first, second)
-    with np.errstate(invalid='ignore', over='ignore'):
-        return _checked_boxes(*_from_quarters(quarters))
+        return _checked_boxes(center, first, second)
 
 
 def _boxes_of_xywhr(xywhr: FloatArray) -> OrientedBoxes:
     """Create boxes from centre, size and angle, (n, 5)."""
     columns = xywhr.T
     sizes = columns[2:4]
-    if _all_below_large(columns) and np.minimum.reduce(sizes, axis=None, initial=np.inf) > _SMALL:
+    if _all_below_large(columns) and np.minimum.reduce(sizes, axis=None, initial=np.inf) > SMALL:
         return _regular_boxes(*_from_columns(columns))
     with np.errstate(invalid='ignore', over='ignore'):
         return _checked_boxes(*_from_columns(columns), negative=(sizes < 0.0).any(axis=0))
@@ -510,25 +517,7 @@ def _boxes_of_xywhr(xywhr: FloatArray) -> OrientedBoxes:
 def _all_below_large(numbers: FloatArray) -> bool:
     """Check that all numbers are finite and no product of two can overflow."""
     # NaN passes through the maximum and compares as false.
-    return bool(np.maximum.reduce(np.abs(numbers), axis=None, initial=0.0) < _LARGE)
-
-
-def _from_quarters(quarters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute centres and half edges, (2, n) each, from corners scaled by 1/4, (4, 2, n)."""
-    diagonals = quarters[2:] - quarters[:2]
-    first, second = diagonals[0] - diagonals[1], diagonals[0] + diagonals[1]
-    # The middle of the longer diagonal on each axis, not the mean of the corners: `outer` is then
-    # their minimum and maximum even if they were rounded to whole pixels. If both edges have the
-    # same sign, their sum is the longer diagonal; if not, the other diagonal is. The selection
-    # works on the bits, which takes a third of the time of np.where.
-    middles = quarters[2:] + quarters[:2]
-    signs_differ = np.bitwise_xor(first.view(np.int64), second.view(np.int64))
-    signs_differ >>= 63
-    middle, other = middles.view(np.int64)
-    other ^= middle
-    other &= signs_differ
-    middle ^= other
-    return middles[0] * 2.0, first, second
+    return bool(np.maximum.reduce(np.abs(numbers), axis=None, initial=0.0) < LARGE)
 
 
 def _from_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -541,13 +530,6 @@ def _from_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArr
     first, second = direction * half[0], direction[::-1] * half[1]
     np.negative(second[0], out=second[0])
     return columns[:2].copy(), first, second
-
-
-def _areas(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Compute a quarter of the area of each box from its half edges, (2, n) each."""
-    products = first * second[::-1]
-    areas = products[0] - products[1]
-    return np.abs(areas, out=areas)
 
 
 def _regular_boxes(center: FloatArray, first: FloatArray, second: FloatArray) -> OrientedBoxes:
@@ -567,12 +549,68 @@ def _checked_boxes(
     numbers = np.concatenate((center, first, second))
     finite = np.logical_and.reduce(np.isfinite(numbers))
     defects = np.zeros(len(finite), np.uint8)
-    defects[_areas(first, second) == 0.0] = Defect.EMPTY
+    defects[areas_of(first, second) == 0.0] = Defect.EMPTY
     defects[negative] = Defect.NEGATIVE_SIZE
     defects[~finite] = Defect.NOT_FINITE
     numbers[:, defects != Defect.NONE] = np.nan
     center, first, second = np.split(numbers, 3)
     return OrientedBoxes(center.T, first.T, second.T, defects, np.zeros(len(finite), np.bool_))
+
+
+def crossed(corners: ArrayLike) -> NDArray[np.bool_]:
+    """
+    Tell which corners, (N, 4, 2), are not in order around their box, (N,).
+
+    Examples
+    --------
+    >>> crossed([[[0, 0], [6, 0], [6, 2], [0, 2]], [[0, 0], [6, 0], [0, 2], [6, 2]]])
+    array([False,  True])
+    """
+    quarters = np.multiply(_as_array(corners, 'corners', (4, 2)).transpose(1, 2, 0), 0.25)
+    with np.errstate(invalid='ignore', over='ignore'):
+        return are_crossed(quarters)
+
+
+def count_crossed(polygons: Iterable[FloatArray]) -> int:
+    """Count the polygons, (K, 2), that are four corners not in order around their box."""
+    corners = [ring[:4] for ring in polygons if is_quadrilateral(ring)]
+    return int(np.count_nonzero(crossed(np.array(corners)))) if corners else 0
+
+
+def is_quadrilateral(ring: FloatArray) -> bool:
+    """Tell whether a ring, (K, 2), has four corners, closed or not."""
+    return len(ring) == 4 or (len(ring) == 5 and ring[0].tolist() == ring[4].tolist())
+
+
+def _boxes_of_quadrilaterals(rings: Sequence[FloatArray]) -> OrientedBoxes:
+    """Create boxes of four corners, closed or not, within `FARTHEST`."""
+    corners = np.array([ring[:4] for ring in rings]).reshape(-1, 4, 2)
+    beyond = np.abs(corners).max(axis=(1, 2), initial=0.0) > FARTHEST
+    if beyond.any():
+        corners[beyond] = np.nan
+    boxes = OrientedBoxes.from_corners(corners)
+    if boxes.regular:
+        return boxes
+    defects = boxes.defects.copy()
+    for row in np.flatnonzero(defects):
+        defects[row] = _ring_defect(rings[int(row)]) or defects[row]
+    return replace(boxes, defects=defects)
+
+
+def _enclosing_boxes(rings: Sequence[FloatArray]) -> OrientedBoxes:
+    """Create the minimum rotated rectangles of rings of any number of points."""
+    defects = np.array([_ring_defect(ring) for ring in rings], np.uint8)
+    corners, origins = np.full((len(rings), 4, 2), np.nan), np.zeros((len(rings), 2))
+    usable = defects == Defect.NONE
+    if usable.any():
+        polygons = [ring for ring, use in zip(rings, usable, strict=True) if use]
+        origins[usable] = [ring[0] for ring in polygons]
+        # Map coordinates would cost shapely most of its digits.
+        corners[usable] = _minimum_rotated_rectangles([ring - ring[0] for ring in polygons])
+    boxes = OrientedBoxes.from_corners(corners)
+    defects[usable] = boxes.defects[usable]
+    defects[usable & (defects == Defect.NOT_FINITE)] = Defect.NO_RECTANGLE
+    return replace(boxes, center=boxes.center + origins, defects=defects)
 
 
 def _ring_defect(ring: FloatArray) -> Defect:

@@ -130,8 +130,8 @@ class InputFrame:
         """
         Map boxes to the image.
 
-        Where the image was stretched unequally a box is no longer a rectangle; as in
-        `OrientedBoxes.from_corners`, its mean edges are used.
+        Where the image was stretched unequally a box is no longer a rectangle; its corners are
+        taken as by `OrientedBoxes.from_corners`.
 
         Parameters
         ----------

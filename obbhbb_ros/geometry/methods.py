@@ -239,7 +239,7 @@ _METHODS = (
         tunable=True,
         symmetric=False,
     ),
-    Method('outer', outer, _contact_at(np.inf), 'minimum and maximum of the corners'),
+    Method('outer', outer, _contact_at(np.inf), 'minimum and maximum of the corners of the box'),
     Method('midpoint', midpoint, _contact_at(1.0), 'minimum and maximum of the edge midpoints'),
     Method('gaussian', gaussian, _contact_at(2.0), 'Gaussian of the box, marginalised'),
     Method(
@@ -276,7 +276,7 @@ def get_method(name: str) -> Method:
     Examples
     --------
     >>> get_method('outer').summary
-    'minimum and maximum of the corners'
+    'minimum and maximum of the corners of the box'
     """
     try:
         return METHODS[name]

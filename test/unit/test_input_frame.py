@@ -69,7 +69,8 @@ def test_boxes_of_a_network_are_those_of_the_image(fit, image) -> None:
 
 
 @pytest.mark.parametrize('fit', ['stretch', 'letterbox'])
-def test_polygons_of_a_network_are_those_of_the_image(fit) -> None:
+@pytest.mark.parametrize('order', [[0, 1, 2, 3], [0, 1, 3, 2]], ids=['in order', 'crossed'])
+def test_polygons_of_a_network_are_those_of_the_image(fit, order) -> None:
     ships = OrientedBoxes.from_xywhr(SHIPS)
     image, network = (512, 2048), (640, 640)
     writer = Writer('<', 0)
@@ -77,13 +78,16 @@ def test_polygons_of_a_network_are_those_of_the_image(fit) -> None:
     writer.number('I', len(SHIPS))
     for corners in to_network(ships.corners, image, network, fit):
         writer.number('I', 4)
-        for value in corners.ravel():
+        for value in corners[order].ravel():
             writer.number('d', value)
     writer.number('I', 0)
     values = {'input_width': 640, 'input_height': 640, 'input_fit': fit}
     settings = OBB_TO_HBB.settings(values)
     data = bytes([0, 1, 0, 0]) + bytes(writer.data)
     batch = Batch(data, INPUT_TYPES['Polygon2DCollection'], settings, image)
+    reordered = {'polygons_reordered': 3} if order[2] == 3 else {}
+    received = {'messages_converted': 1, 'detections_received': 3}
+    assert batch.counts == received | reordered
     received = Detections(batch.boxes_message()).xywhr()
     expected = np.hstack((ships.center, 2.0 * half_extents(ships, settings.rules)))
     np.testing.assert_allclose(received[:, :4], expected, atol=1e-6)
