@@ -127,8 +127,6 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._chip_topics = ChipTopics(self.topics.output, ChipStamps())
         self._spool: SpoolWriter | None = None
         self._spool_report: SpoolReport | None = None
-        # Reliable: a large image travels in many pieces, and is lost with any of them. The pieces
-        # also push small messages such as plans out of the middleware's buffers.
         images, plans = reliable(IMAGES_KEPT), reliable(PLANS_KEPT)
         # Camera infos and sources come first, so that they are there before images and plans.
         self.topics.input(CameraInfo, 'camera_info', self._on_camera_info)

@@ -23,6 +23,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.executors import TimeoutException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from rclpy.waitable import NumberOfEntities
 
 from obbhbb_ros.errors import ObbhbbError
@@ -46,9 +47,10 @@ class ExpressExecutor(SingleThreadedExecutor):
 
     If several raw subscriptions have messages, the executor takes one from each, in the order in
     which the node created them, so that none waits for another to run dry; then it calls the timers
-    that are due. The callbacks must be plain functions, of the serialized message alone or without
-    arguments. The shorter way is open while the executor has a single node without guard conditions
-    (a wait would use up their triggers), and no coroutine is in progress.
+    that are due. The callbacks must be plain functions: of the serialized message, or of it and
+    what is known of it, or without arguments. The shorter way is open while the executor has a
+    single node without guard conditions (a wait would use up their triggers), and no coroutine is
+    in progress.
 
     Parameters
     ----------
@@ -69,6 +71,8 @@ class ExpressExecutor(SingleThreadedExecutor):
         for kind, names in _NAMES.items():
             made_by = getattr(rclpy_implementation, kind, None)
             missing += [f'{kind}.{name}' for name in names if not hasattr(made_by, name)]
+        if not hasattr(Subscription, 'CallbackType'):
+            missing.append('Subscription.CallbackType')
         if missing:
             self.shutdown()
             raise UnknownRclpyError(f'this rclpy has no {", ".join(missing)}')
@@ -119,10 +123,10 @@ class ExpressExecutor(SingleThreadedExecutor):
         if not self.context.ok():
             raise ExternalShutdownException
         try:
-            for pointer, subscription in wait_set.express:
+            for pointer, subscription, argument_count in wait_set.express:
                 if pointer in ready:
                     ready.remove(pointer)
-                    _take_and_call(subscription)
+                    _take_and_call(subscription, argument_count)
             for timer in wait_set.timers_that_are_due():
                 _call_if_due(timer)
         finally:
@@ -155,7 +159,7 @@ class ExpressExecutor(SingleThreadedExecutor):
         return any(not task.done() for task, _, _ in self._tasks)
 
 
-def _take_and_call(subscription: Any) -> None:
+def _take_and_call(subscription: Any, argument_count: int) -> None:
     """Handle the next message of a raw subscription, unless a callback has destroyed it."""
     try:
         with subscription.handle:
@@ -163,7 +167,7 @@ def _take_and_call(subscription: Any) -> None:
     except InvalidHandle:
         return
     if taken is not None:
-        subscription.callback(taken[0])
+        subscription.callback(*taken[:argument_count])
 
 
 def _call_if_due(timer: Any) -> None:
@@ -186,8 +190,9 @@ class _KeptWaitSet:
 
     Attributes
     ----------
-    express : list of (int, Subscription)
-        The raw subscriptions, with the pointers by which `wait` lists them.
+    express : list of (int, Subscription, int)
+        The raw subscriptions, with the pointers by which `wait` lists them and the number of
+        arguments of their callbacks.
     """
 
     def __init__(self, context: Context, node: Node, guards: list[Any]) -> None:
@@ -199,7 +204,12 @@ class _KeptWaitSet:
         try:
             for in_use in (context.handle, *chain(*handles), *self._waitables):
                 self._stack.enter_context(in_use)
-            self.express = [(s.handle.pointer, s) for s in subscriptions if s.raw]
+            with_info = Subscription.CallbackType.WithMessageInfo
+            self.express = [
+                (s.handle.pointer, s, 1 + (s._callback_type is with_info))
+                for s in subscriptions
+                if s.raw
+            ]
             self._timers = [(timer.handle.pointer, timer) for timer in timers]
             count = NumberOfEntities(*map(len, handles))
             for waitable in self._waitables:

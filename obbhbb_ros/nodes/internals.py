@@ -8,12 +8,17 @@ Only this module and `executor.py` use any. Both are written for rclpy 7 (Jazzy)
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.qos_overriding_options import _declare_qos_parameters
+from rclpy.subscription import Subscription
 
 
 def parameters_given(node: Node) -> dict[str, Parameter]:
@@ -24,6 +29,22 @@ def parameters_given(node: Node) -> dict[str, Parameter]:
 def forget_given(node: Node, name: str) -> None:
     """Declare a parameter with its default, whatever a YAML file or the command line gave."""
     del node._parameter_overrides[name]
+
+
+def overridden_subscription(
+    node: Node, topic: str, qos: QoSProfile, options: QoSOverridingOptions
+) -> QoSProfile:
+    """Return a profile with the QoS overrides for the subscription to a topic, and declare them."""
+    profile = copy(qos)
+    _declare_qos_parameters(Subscription, node, topic, profile, options)
+    return profile
+
+
+def put_before(node: Node, subscription: Subscription, other: Subscription) -> None:
+    """Make an executor serve a new subscription of a node before another one."""
+    subscriptions = node._subscriptions
+    subscriptions.remove(subscription)
+    subscriptions.insert(subscriptions.index(other), subscription)
 
 
 def state_label(node: LifecycleNode) -> str:

@@ -8,22 +8,24 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from obbhbb_ros.nodes import internals
+from obbhbb_ros.nodes.following import OVERRIDABLE
+from obbhbb_ros.nodes.following import FollowingSubscription
 from obbhbb_ros.nodes.parts import Part
+from obbhbb_ros.nodes.parts import steady_timer
 from obbhbb_ros.nodes.reporter import Reporter
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.layouts import InputType
 
 OVERRIDE_PREFIX = 'qos_overrides.'
 _DEPTH = 10
-_OVERRIDABLE = QoSOverridingOptions.with_default_policies()
+# Seconds between two looks at the publishers of the inputs.
+_LOOK_PERIOD = 1.0
 
 
 def message_type(input_type: InputType) -> Any:
@@ -49,14 +51,9 @@ def reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATIL
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
 
 
-def best_effort(depth: int) -> QoSProfile:
-    """Return the quality of service that matches publishers of any reliability."""
-    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-
-
 def create_output(node: Node, kind: Any, topic: str, depth: int) -> Any:
     """Create a reliable publisher, given its message class."""
-    return node.create_publisher(kind, topic, reliable(depth), qos_overriding_options=_OVERRIDABLE)
+    return node.create_publisher(kind, topic, reliable(depth), qos_overriding_options=OVERRIDABLE)
 
 
 @dataclass(eq=False)
@@ -92,6 +89,7 @@ class TopicInput:
     """
     A topic that a node subscribes to, for the bytes of its messages; made by `NodeTopics.input`.
 
+    It hears publishers of any quality of service; `qos` is that of the usual one.
     It counts messages that arrive while the node is inactive or that cannot be read, and messages
     that the middleware lost.
     """
@@ -102,7 +100,7 @@ class TopicInput:
     callback: Callable[[bytes], object]
     counter: str
     qos: QoSProfile
-    _subscription: Any = None
+    _subscription: FollowingSubscription | None = None
 
     @property
     def topic_name(self) -> str:
@@ -116,24 +114,42 @@ class TopicInput:
 
     def open(self) -> None:
         """Subscribe."""
-        self._subscription = self.topics.node.create_subscription(
+        self._subscription = FollowingSubscription(
+            self.topics.node,
             message_type(self.kind) if isinstance(self.kind, InputType) else self.kind,
             self.topic,
-            self._receive_when_active if self.counter else self._receive,
             self.qos,
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_message_lost),
-            qos_overriding_options=_OVERRIDABLE,
+            self._receive_when_active if self.counter else self._receive,
+            {'message_lost': self._on_message_lost},
         )
+
+    @property
+    def type_name(self) -> str:
+        """Name of the message type, without its package."""
+        return self.kind.name if isinstance(self.kind, InputType) else str(self.kind.__name__)
 
     def close(self) -> None:
         """Unsubscribe, if subscribed."""
-        self.topics.node.destroy_subscription(self._subscription)
+        if self._subscription is not None:
+            self._subscription.destroy()
         self._subscription = None
 
     def has_publisher(self) -> bool:
         """Return whether the topic has a publisher that matches."""
-        return self.is_open and self._subscription.get_publisher_count() > 0
+        return self._subscription is not None and self._subscription.publisher_count() > 0
+
+    def look(self) -> None:
+        """Follow the publishers of the topic, and report those that an override excludes."""
+        if self._subscription is None:
+            return
+        publishers = self._subscription.publishers()
+        self._subscription.follow(publishers)
+        for name, reason in self._subscription.unheard(publishers).items():
+            self.topics.reporter.warn(
+                f'unheard {name} on {self.topic_name}',
+                f'no messages from {name} on {self.topic_name}, incompatible QoS: {reason}; '
+                f'see {OVERRIDE_PREFIX}{self.topic_name}.subscription',
+            )
 
     def _receive_when_active(self, data: bytes) -> None:
         """Count a message, and handle it if the node is active."""
@@ -153,7 +169,7 @@ class TopicInput:
             self.topics.reporter.warn(
                 'unreadable message',
                 f'dropped a message of {len(data)} bytes on {self.topic_name}, it cannot be '
-                f'read as {self._subscription.msg_type.__name__}: {error}',
+                f'read as {self.type_name}: {error}',
             )
 
     def _on_message_lost(self, status: Any) -> None:
@@ -190,6 +206,7 @@ class NodeTopics(Part):
         self.node, self.reporter, self.is_active = node, reporter, False
         self._topics: list[TopicOutput | TopicInput] = []
         self._on_demand: list[TopicInput] = []
+        self._timer: Any = None
 
     def output(self, kind: Any, topic: str, depth: int = _DEPTH) -> TopicOutput:
         """Add a topic to publish on, given its message class."""
@@ -223,7 +240,7 @@ class NodeTopics(Part):
             Counts the messages. They are handled only while the node is active; without a counter,
             always.
         qos : QoSProfile, optional
-            Quality of service; by default best effort, which matches any publisher.
+            Quality of service of the usual publisher; by default reliable.
         on_demand : bool
             Whether the node itself opens the input, instead of `configure`.
 
@@ -232,7 +249,7 @@ class NodeTopics(Part):
         TopicInput
             The topic.
         """
-        added = TopicInput(self, kind, topic, callback, counter, qos or best_effort(_DEPTH))
+        added = TopicInput(self, kind, topic, callback, counter, qos or reliable(_DEPTH))
         (self._on_demand if on_demand else self._topics).append(added)
         return added
 
@@ -241,6 +258,7 @@ class NodeTopics(Part):
         for topic in self._topics:
             topic.open()
         self._warn_of_unused_overrides()
+        self._timer = steady_timer(self.node, _LOOK_PERIOD, self._look)
 
     def activate(self) -> None:
         """Hand messages to the node."""
@@ -252,8 +270,15 @@ class NodeTopics(Part):
 
     def cleanup(self) -> None:
         """Destroy subscriptions and publishers."""
+        self.node.destroy_timer(self._timer)
         for topic in (*self._on_demand, *reversed(self._topics)):
             topic.close()
+
+    def _look(self) -> None:
+        """Look at the publishers of all inputs."""
+        for topic in (*self._topics, *self._on_demand):
+            if isinstance(topic, TopicInput):
+                topic.look()
 
     def _warn_of_unused_overrides(self) -> None:
         """Warn of QoS overrides that match no topic, or no policy that can be overridden."""

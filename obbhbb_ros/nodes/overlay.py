@@ -25,7 +25,6 @@ from obbhbb_ros.downlink.joiner import ZERO_STAMP
 from obbhbb_ros.nodes.image_input import image_input
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import TopicInput
-from obbhbb_ros.nodes.node_topics import best_effort
 from obbhbb_ros.nodes.node_topics import message_type
 from obbhbb_ros.nodes.node_topics import reliable
 from obbhbb_ros.nodes.parts import steady_timer
@@ -86,14 +85,12 @@ class Overlay(ManagedNode[OverlaySettings]):
             for layer in LAYER_COLORS
         }
         self._outputs = (self._pictures, self._markers, *self._markers_of.values())
-        # As in the other nodes: a detector may publish with any reliability; everything else is
-        # reliable, because the many pieces of a large image push small messages out of buffers.
         images, plans = reliable(IMAGES_KEPT), reliable(PLANS_KEPT)
         self._image_in = image_input(self.topics, self._on_image, images, on_demand=True)
         plain = INPUT_TYPES['Detection2DArray']
         self._layers_in = {
             'detections': self._layer_input(
-                'detections', self._input_type, self._input_type.topic, best_effort(PLANS_KEPT)
+                'detections', self._input_type, self._input_type.topic, plans
             ),
             'boxes': self._layer_input('boxes', plain, 'boxes', plans),
             'crop_regions': self._layer_input('crop_regions', plain, 'crop_regions', plans),

@@ -28,10 +28,12 @@ from harness import Converter
 from harness import NodeProcess
 from harness import Peer
 from harness import Site
+from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
+from sensor_msgs.msg import CameraInfo
 from ships import axis_aligned
 from ships import detections
 from ships import fleet
@@ -482,13 +484,16 @@ def profiles(node: Converter) -> dict[str, QoSProfile]:
     }
 
 
-def test_by_default_input_is_best_effort_and_output_reliable(start: Start) -> None:
+def test_without_publishers_all_topics_are_reliable(start: Start) -> None:
     got = profiles(start())
-    for topic in ('detections', 'camera_info'):
-        assert got[topic].reliability == ReliabilityPolicy.BEST_EFFORT
-    for topic in ('boxes', 'crop_regions'):
-        assert got[topic].reliability == ReliabilityPolicy.RELIABLE
+    assert {profile.reliability for profile in got.values()} == {ReliabilityPolicy.RELIABLE}
     assert {profile.durability for profile in got.values()} == {DurabilityPolicy.VOLATILE}
+
+
+def test_the_overrides_of_an_input_say_that_it_follows_its_publishers(start: Start) -> None:
+    node = start(namespace='/follows', listen=False)
+    prefix = 'qos_overrides./follows/detections.subscription'
+    assert node.get(f'{prefix}.reliability', f'{prefix}.durability') == ['best_available'] * 2
 
 
 QOS_YAML = """
@@ -496,8 +501,9 @@ QOS_YAML = """
   ros__parameters:
     qos_overrides:
       /qos_test/detections: {subscription: {reliability: reliable, depth: 3}}
-      /qos_test/camera_info: {subscription: {reliability: reliable}}
+      /qos_test/camera_info: {subscription: {reliability: best_effort, durability: transient_local}}
       /qos_test/boxes: {publisher: {reliability: best_effort, history: keep_all}}
+      /qos_test/crop_regions: {publisher: {durability: transient_local}}
 """
 
 
@@ -505,12 +511,18 @@ def test_a_parameter_file_can_override_the_profiles(start: Start, tmp_path: Path
     file = tmp_path / 'qos.yaml'
     file.write_text(QOS_YAML)
     node = start(arguments=['--params-file', str(file)], namespace='/qos_test', listen=False)
-    got = {topic: profile.reliability for topic, profile in profiles(node).items()}
-    assert got == {
+    got = profiles(node)
+    assert {topic: profile.reliability for topic, profile in got.items()} == {
         'detections': ReliabilityPolicy.RELIABLE,
-        'camera_info': ReliabilityPolicy.RELIABLE,
+        'camera_info': ReliabilityPolicy.BEST_EFFORT,
         'boxes': ReliabilityPolicy.BEST_EFFORT,
         'crop_regions': ReliabilityPolicy.RELIABLE,
+    }
+    assert {topic: profile.durability for topic, profile in got.items()} == {
+        'detections': DurabilityPolicy.VOLATILE,
+        'camera_info': DurabilityPolicy.TRANSIENT_LOCAL,
+        'boxes': DurabilityPolicy.VOLATILE,
+        'crop_regions': DurabilityPolicy.TRANSIENT_LOCAL,
     }
     # DDS does not announce history and depth.
     prefix = 'qos_overrides./qos_test'
@@ -547,14 +559,31 @@ def test_a_subscriber_whose_profile_does_not_fit_is_logged(start: Start) -> None
     assert unheard == []
 
 
-def test_a_publisher_whose_profile_does_not_fit_is_logged(start: Start) -> None:
+def test_a_publisher_that_an_override_excludes_is_reported(start: Start) -> None:
     override = 'qos_overrides./picky/detections.subscription.reliability'
     node = start(parameters={override: 'reliable'}, namespace='/picky')
     node.peer.node.create_publisher(Detection2DArray, 'detections', BEST_EFFORT)
-    line = node.wait_for_log('incompatible QoS', "'detections'")
-    assert 'RELIABILITY' in line
+    line = node.wait_for_log('no messages from /picky/peer on /picky/detections')
+    assert 'incompatible QoS' in line
+    assert 'qos_overrides./picky/detections.subscription' in line
+    node.wait(lambda: node.warned('no messages from /picky/peer'), 'the level')
     # A matching one is received all the same.
     node.connect()
+
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def test_a_latched_camera_info_that_came_before_the_node_is_heard(site: Site) -> None:
+    with Converter(site, parameters={'autostart': False}) as node:
+        node.peer.node.create_publisher(CameraInfo, 'camera_info', LATCHED).publish(
+            CameraInfo(width=640, height=480)
+        )
+        crops = node.peer.collect(Detection2DArray, 'crop_regions')
+        for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+            assert node.change_state(transition)
+        node.send_until(lambda: node.send(detections(fleet(3))), lambda: crops, 'crop regions')
+        assert not node.counts()['messages_unreadable']
 
 
 # A log that nobody reads -----------------------------------------------------------------------
