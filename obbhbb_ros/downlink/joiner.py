@@ -8,14 +8,19 @@ one topic with those of another.
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable
+from collections.abc import Iterable
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
 from typing import Generic
+from typing import NamedTuple
 from typing import TypeVar
 
+from obbhbb_ros.limits import MAX_BYTES
 from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Range
 from obbhbb_ros.limits import setting
@@ -29,10 +34,11 @@ ZERO_STAMP: Stamp = (0, 0)
 """No stamp at all: a header that nobody filled in."""
 
 # During a stall the middleware keeps this much, 1.6 s of images at 10 Hz, and then delivers it at
-# once, images and plans in any order: the caches hold as much.
+# once, images and plans in any order.
 IMAGES_KEPT = 16
 PLANS_KEPT = 100
 _MAX_JOINED = 1000
+_MAX_GONE = 1000
 
 
 class Unpaired(str, Enum):
@@ -40,9 +46,47 @@ class Unpaired(str, Enum):
 
     EXPIRED = 'expired'
     CROWDED_OUT = 'crowded_out'
+    PARTNER_GONE = 'partner_gone'
     DUPLICATE = 'duplicate'
     ZERO_STAMP = 'zero_stamp'
     CLEARED = 'deactivated'
+
+
+class WaitingItem(NamedTuple, Generic[Item]):
+    """
+    An item of a `StampCache`.
+
+    Attributes
+    ----------
+    arrival : float
+        When it came, seconds.
+    item : Item
+        The item.
+    number, position : int
+        Items, and bytes of items, that came before it.
+    """
+
+    arrival: float
+    item: Item
+    number: int
+    position: int
+
+
+class Lateness(NamedTuple):
+    """
+    What a cache would have needed to keep an item that it has dropped.
+
+    Attributes
+    ----------
+    age : float
+        Time since the item came, seconds.
+    items, bytes : int
+        Number and bytes of the items that have come since, itself included.
+    """
+
+    age: float
+    items: int
+    bytes: int
 
 
 class StampCache(Generic[Item]):
@@ -53,23 +97,33 @@ class StampCache(Generic[Item]):
     ----------
     on_dropped : callable
         Called with reason and item for each item that is dropped: by `put`, `expire` or `clear`.
+    size_of : callable, optional
+        Returns the bytes of an item, for a cache that is bounded by bytes.
 
     Examples
     --------
-    >>> cache = StampCache[str](print)
+    >>> cache = StampCache[str](print, size_of=len)
     >>> cache.put((5, 0), 'first', now=0.0, max_count=2)
     >>> cache.put((6, 0), 'second', now=0.1, max_count=2)
-    >>> cache.nearest((5, 9), slop=1e-8)
-    (5, 0)
     >>> cache.expire(now=2.05, max_age=2.0)
     Unpaired.EXPIRED first
     >>> list(cache)
     ['second']
+    >>> cache.lateness((5, 0), now=3.5)
+    Lateness(age=3.5, items=2, bytes=11)
     """
 
-    def __init__(self, on_dropped: Callable[[Unpaired, Item], object]) -> None:
-        self._on_dropped = on_dropped
-        self._entries: OrderedDict[Stamp, tuple[float, Item]] = OrderedDict()
+    def __init__(
+        self,
+        on_dropped: Callable[[Unpaired, Item], object],
+        size_of: Callable[[Item], int] = lambda _: 0,
+    ) -> None:
+        self._on_dropped, self._size_of = on_dropped, size_of
+        self._entries: OrderedDict[Stamp, WaitingItem[Item]] = OrderedDict()
+        self._bytes = 0
+        # What expired or was crowded out: arrival, number and position.
+        self._gone: OrderedDict[Stamp, tuple[float, int, int]] = OrderedDict()
+        self._all_count = self._all_bytes = 0
 
     def __len__(self) -> int:
         """Count the items."""
@@ -81,44 +135,73 @@ class StampCache(Generic[Item]):
 
     def __getitem__(self, stamp: Stamp) -> Item:
         """Return the item of a stamp; KeyError if there is none."""
-        return self._entries[stamp][1]
+        return self._entries[stamp].item
 
     def __iter__(self) -> Iterator[Item]:
         """Iterate over the items, the oldest first."""
-        return (item for _, item in self._entries.values())
+        return (entry.item for entry in self._entries.values())
 
     def items(self) -> list[tuple[Stamp, Item]]:
         """List stamps and items, the oldest first."""
-        return [(stamp, item) for stamp, (_, item) in self._entries.items()]
+        return [(stamp, entry.item) for stamp, entry in self._entries.items()]
 
-    def put(self, stamp: Stamp, item: Item, now: float, max_count: int) -> None:
-        """Add an item as the newest; drop one of the same stamp, and the oldest over the count."""
-        replaced = self._entries.pop(stamp, None)
-        self._entries[stamp] = now, item
+    def stamps(self) -> Iterable[Stamp]:
+        """Iterate over the stamps, the oldest item first."""
+        return self._entries.keys()
+
+    def put(
+        self,
+        stamp: Stamp,
+        item: Item,
+        now: float,
+        max_count: int = 0,
+        max_bytes: float = math.inf,
+    ) -> None:
+        """
+        Add an item as the newest; drop one of the same stamp, and the oldest beyond the bounds.
+
+        A `max_count` of 0 is no bound. The newest item stays, whatever its size.
+        """
+        replaced = self._remove(stamp)
+        self._gone.pop(stamp, None)
+        self._entries[stamp] = WaitingItem(now, item, self._all_count, self._all_bytes)
+        size = self._size_of(item)
+        self._bytes += size
+        self._all_bytes += size
+        self._all_count += 1
         if replaced is not None:
-            self._on_dropped(Unpaired.DUPLICATE, replaced[1])
-        self._drop_while(Unpaired.CROWDED_OUT, lambda _: len(self._entries) > max_count)
+            self._on_dropped(Unpaired.DUPLICATE, replaced.item)
+
+        def is_full(_: float) -> bool:
+            too_many = 0 < max_count < len(self._entries)
+            return too_many or (self._bytes > max_bytes and len(self._entries) > 1)
+
+        self._drop_while(Unpaired.CROWDED_OUT, is_full)
 
     def renew(self, stamp: Stamp, now: float) -> None:
         """Let the item of a stamp, if there is one, wait from now on."""
         if stamp in self._entries:
-            self._entries[stamp] = now, self._entries.pop(stamp)[1]
+            self._entries[stamp] = self._entries.pop(stamp)._replace(arrival=now)
 
     def pop(self, stamp: Stamp) -> Item | None:
         """Remove and return the item of a stamp."""
-        return self._entries.pop(stamp, (0.0, None))[1]
+        entry = self._remove(stamp)
+        return None if entry is None else entry.item
 
-    def nearest(self, stamp: Stamp, slop: float) -> Stamp | None:
-        """Return the nearest stamp at most `slop` seconds away, the earlier of two."""
-        if stamp in self._entries:
-            return stamp
-        if not slop or not self._entries:
+    def arrival(self, stamp: Stamp) -> float:
+        """Return when the item of a stamp came, or was renewed."""
+        return self._entries[stamp].arrival
+
+    def lateness(self, stamp: Stamp, now: float) -> Lateness | None:
+        """Tell what would have kept an item that expired or was crowded out; None if none did."""
+        if (gone := self._gone.get(stamp)) is None:
             return None
-        target = nanoseconds_of(stamp)
-        distance, nearest = min(
-            (abs(nanoseconds_of(other) - target), other) for other in self._entries
-        )
-        return nearest if distance <= round(slop * 1e9) else None
+        arrival, number, position = gone
+        return Lateness(now - arrival, self._all_count - number, self._all_bytes - position)
+
+    def forget_dropped(self) -> None:
+        """Forget what was dropped: the same stamps come again."""
+        self._gone.clear()
 
     def expire(self, now: float, max_age: float) -> None:
         """Drop the items that came more than `max_age` seconds ago."""
@@ -128,22 +211,39 @@ class StampCache(Generic[Item]):
         """Drop all items."""
         self._drop_while(Unpaired.CLEARED, lambda _: True)
 
+    def _remove(self, stamp: Stamp) -> WaitingItem[Item] | None:
+        """Remove and return an item with what is known of it."""
+        entry = self._entries.pop(stamp, None)
+        if entry is not None:
+            self._bytes -= self._size_of(entry.item)
+        return entry
+
     def _drop_while(self, reason: Unpaired, condition: Callable[[float], bool]) -> None:
         """Drop the oldest items while the arrival of the oldest meets a condition."""
-        while self._entries and condition(next(iter(self._entries.values()))[0]):
+        while self._entries:
+            stamp, entry = next(iter(self._entries.items()))
+            if not condition(entry.arrival):
+                return
             # One by one: an error of the callback costs no other item.
-            _, (_, item) = self._entries.popitem(last=False)
-            self._on_dropped(reason, item)
+            self._remove(stamp)
+            if reason is not Unpaired.CLEARED:
+                self._gone[stamp] = entry.arrival, entry.number, entry.position
+                if len(self._gone) > _MAX_GONE:
+                    self._gone.popitem(last=False)
+            self._on_dropped(reason, entry.item)
 
 
 @dataclass(frozen=True)
 class PairLimits(CheckedSettings):
     """How images and crop plans wait for each other; ValueError if a value is out of range."""
 
+    max_bytes: float = setting(
+        128.0 * 2**20,
+        'Maximum bytes of the images that wait for their crop plan; the oldest is dropped first.',
+        Range(1.0, MAX_BYTES),
+    )
     images: int = setting(
-        IMAGES_KEPT,
-        'Maximum images that wait for their crop plan; the oldest is dropped first.',
-        Range(1, 1000),
+        0, 'Maximum number of these images. 0: no limit but cache.max_bytes.', Range(0, 1000)
     )
     regions: int = setting(
         PLANS_KEPT,
@@ -151,7 +251,7 @@ class PairLimits(CheckedSettings):
         Range(1, 100_000),
     )
     max_age: float = setting(
-        2.0, 'How long images and crop plans wait for each other, seconds.', Range(0.0, 3600.0)
+        5.0, 'How long images and crop plans wait for each other, seconds.', Range(0.0, 3600.0)
     )
     slop: float = setting(
         0.0,
@@ -159,13 +259,31 @@ class PairLimits(CheckedSettings):
         Range(0.0, 3600.0),
     )
 
+    def shortage(self, lateness: Lateness) -> str:
+        """
+        Say why an image had been dropped when its plan came, and which limits would have kept it.
+
+        Examples
+        --------
+        >>> PairLimits(max_bytes=1e6).shortage(Lateness(age=3.5, items=105, bytes=32_256_000))
+        'more than cache.max_bytes waited; 32256000 bytes are needed'
+        """
+        reasons = []
+        if lateness.bytes > self.max_bytes:
+            reasons.append(f'more than cache.max_bytes waited; {lateness.bytes} bytes are needed')
+        if 0 < self.images < lateness.items:
+            reasons.append(f'more than cache.images waited; {lateness.items} images are needed')
+        if lateness.age > self.max_age or not reasons:
+            reasons.append('it waited longer than cache.max_age')
+        return ', and '.join(reasons)
+
 
 class JoinerSide(Generic[Item, Partner]):
     """
     One side of a joiner: items that are paired by stamp with those of another side.
 
-    An item is paired with the waiting one of the same stamp, or else with the one of the nearest
-    stamp within the slop, the earlier of two. A zero stamp means no stamp and is never paired.
+    `add` pairs an item with the waiting one of the same stamp; `near_pairs` pairs what is left with
+    the one of the nearest stamp. A zero stamp means no stamp and is never paired.
 
     Parameters
     ----------
@@ -174,6 +292,10 @@ class JoinerSide(Generic[Item, Partner]):
     on_jump_back : callable
         Called with the latest and the new stamp if the new one is earlier: a bag that loops, or a
         clock that was set back.
+    on_late : callable, optional
+        Called with each item whose partner has expired or was crowded out, before it is dropped.
+    size_of : callable, optional
+        As in `StampCache`.
 
     Attributes
     ----------
@@ -193,12 +315,14 @@ class JoinerSide(Generic[Item, Partner]):
         self,
         on_dropped: Callable[[Unpaired, Item], None],
         on_jump_back: Callable[[Stamp, Stamp], None],
+        on_late: Callable[[Item, Lateness], None] = lambda item, lateness: None,
+        size_of: Callable[[Item], int] = lambda _: 0,
     ) -> None:
-        self.waiting = StampCache[Item](on_dropped)
+        self.waiting = StampCache[Item](on_dropped, size_of)
         # Stamps of items that were paired: a duplicate may still arrive.
         self._joined = StampCache[None](lambda reason, _: None)
         self._latest = ZERO_STAMP
-        self._on_dropped, self._on_jump_back = on_dropped, on_jump_back
+        self._on_dropped, self._on_jump_back, self._on_late = on_dropped, on_jump_back, on_late
         self._other: JoinerSide[Partner, Item]
 
     def pair_with(self, other: JoinerSide[Partner, Item]) -> None:
@@ -206,10 +330,17 @@ class JoinerSide(Generic[Item, Partner]):
         self._other, other._other = other, self
 
     def add(
-        self, stamp: Stamp, item: Item, now: float, max_count: int, slop: float = 0.0
+        self,
+        stamp: Stamp,
+        item: Item,
+        now: float,
+        max_count: int = 0,
+        max_bytes: float = math.inf,
     ) -> Partner | None:
         """
-        Add an item, and return its partner; without one the item waits.
+        Add an item, and return its partner of the same stamp; without one the item waits.
+
+        An item whose partner has expired or was crowded out is dropped.
 
         Parameters
         ----------
@@ -219,10 +350,8 @@ class JoinerSide(Generic[Item, Partner]):
             The item.
         now : float
             Seconds of a monotonic clock.
-        max_count : int
-            Maximum number of items that wait on this side; the oldest is dropped first.
-        slop : float
-            Maximum difference between the stamps of a pair, seconds (0: stamps are equal).
+        max_count, max_bytes : int, float
+            As in `StampCache.put`, for the items that wait on this side.
         """
         if stamp == ZERO_STAMP:
             self._on_dropped(Unpaired.ZERO_STAMP, item)
@@ -230,19 +359,85 @@ class JoinerSide(Generic[Item, Partner]):
         if stamp < self._latest:
             self._on_jump_back(self._latest, stamp)
             # The same stamps come again and must be paired again.
-            self._joined.clear()
-            self._other._joined.clear()
+            for side in (self, self._other):
+                side._joined.clear()
+                side.waiting.forget_dropped()
         self._latest = stamp
         if stamp in self._joined:
             self._on_dropped(Unpaired.DUPLICATE, item)
-            return None
-        partner_stamp = self._other.waiting.nearest(stamp, slop)
-        if partner_stamp is None:
-            self.waiting.put(stamp, item, now, max_count)
-            return None
-        self._joined.put(stamp, None, now, _MAX_JOINED)
-        self._other._joined.put(partner_stamp, None, now, _MAX_JOINED)
-        return self._other.waiting.pop(partner_stamp)
+        elif stamp in self._other.waiting:
+            self._remember(stamp, stamp, now)
+            return self._other.waiting.pop(stamp)
+        elif lateness := self._other.waiting.lateness(stamp, now):
+            self._on_late(item, lateness)
+            self._on_dropped(Unpaired.PARTNER_GONE, item)
+        else:
+            self.waiting.put(stamp, item, now, max_count, max_bytes)
+        return None
+
+    def near_pairs(self, now: float, slop: float, max_age: float) -> Iterator[tuple[Item, Partner]]:
+        """
+        Remove and yield pairs of this side and the other whose stamps differ by the slop or less.
+
+        The nearest stamps go first, the earlier of two. A pair waits until neither item can have a
+        partner of its own stamp any more: a later stamp of the other kind has come for both, or the
+        later of the two has waited for `slop` seconds, or for `max_age`.
+
+        Parameters
+        ----------
+        now : float
+            Seconds of a monotonic clock.
+        slop, max_age : float
+            Seconds.
+        """
+        patience = min(slop, max_age)
+        is_done = not slop
+        while not is_done:
+            is_done = True
+            taken: set[tuple[bool, Stamp]] = set()
+            for ours, theirs in self._near_stamps(slop):
+                ends = {(False, ours), (True, theirs)}
+                if taken.isdisjoint(ends) and self._is_settled(ours, theirs, now - patience):
+                    yield self._take(ours, theirs, now)
+                    is_done = False
+                # A nearer pair that still waits keeps both.
+                taken |= ends
+
+    def _near_stamps(self, slop: float) -> list[tuple[Stamp, Stamp]]:
+        """List neighbouring stamps of both sides within the slop, the nearest first."""
+        if not self.waiting or not self._other.waiting:
+            return []
+        ours = [(nanoseconds_of(stamp), False, stamp) for stamp in self.waiting.stamps()]
+        theirs = [(nanoseconds_of(stamp), True, stamp) for stamp in self._other.waiting.stamps()]
+        near = [
+            (second[0] - first[0], first, second)
+            for first, second in pairwise(sorted(ours + theirs))
+            if first[1] != second[1] and second[0] - first[0] <= round(slop * 1e9)
+        ]
+        return [
+            (second[2], first[2]) if first[1] else (first[2], second[2])
+            for _, first, second in sorted(near)
+        ]
+
+    def _is_settled(self, ours: Stamp, theirs: Stamp, patient_since: float) -> bool:
+        """Return whether no item of the same stamp is waited for any more."""
+        if self._latest > theirs and self._other._latest > ours:
+            return True
+        arrivals = self.waiting.arrival(ours), self._other.waiting.arrival(theirs)
+        return max(arrivals) <= patient_since
+
+    def _take(self, ours: Stamp, theirs: Stamp, now: float) -> tuple[Item, Partner]:
+        """Remove and return a pair, and remember its stamps."""
+        pair = self.waiting[ours], self._other.waiting[theirs]
+        self.waiting.pop(ours)
+        self._other.waiting.pop(theirs)
+        self._remember(ours, theirs, now)
+        return pair
+
+    def _remember(self, ours: Stamp, theirs: Stamp, now: float) -> None:
+        """Remember the stamps of a pair."""
+        self._joined.put(ours, None, now, _MAX_JOINED)
+        self._other._joined.put(theirs, None, now, _MAX_JOINED)
 
     def expire(self, now: float, max_age: float) -> None:
         """Drop the items that came more than `max_age` seconds ago."""

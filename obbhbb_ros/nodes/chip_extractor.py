@@ -32,6 +32,7 @@ from obbhbb_ros.downlink.frame import FrameLink
 from obbhbb_ros.downlink.joiner import IMAGES_KEPT
 from obbhbb_ros.downlink.joiner import PLANS_KEPT
 from obbhbb_ros.downlink.joiner import JoinerSide
+from obbhbb_ros.downlink.joiner import Lateness
 from obbhbb_ros.downlink.joiner import PairLimits
 from obbhbb_ros.downlink.joiner import StampCache
 from obbhbb_ros.downlink.joiner import Unpaired
@@ -114,10 +115,14 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             **kwargs,
         )
         self._images = JoinerSide[AnyImage, PlannedFrame](
-            self._on_image_dropped, partial(self._warn_of_jump_back, 'images')
+            self._on_image_dropped,
+            partial(self._warn_of_jump_back, 'images'),
+            size_of=lambda image: image.data.nbytes,
         )
         self._plans = JoinerSide[PlannedFrame, AnyImage](
-            self._on_plan_dropped, partial(self._warn_of_jump_back, 'crop_plans')
+            self._on_plan_dropped,
+            partial(self._warn_of_jump_back, 'crop_plans'),
+            self._warn_of_late_plan,
         )
         self._images.pair_with(self._plans)
         self._sources = StampCache[list[Source]](self._on_sources_dropped)
@@ -165,7 +170,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
 
     def _facts(self) -> dict[str, str]:
         """Report what is waiting, the budget left, and the books of the spool."""
-        now, _ = self._expire()
+        now, _ = self._catch_up()
         facts = {
             'chips_waiting': str(sum(map(len, self._plans.waiting))),
             'images_waiting': str(len(self._images.waiting)),
@@ -195,16 +200,17 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     def _on_sources(self, data: bytes) -> None:
         """Keep the sources of a plan until its image is cut."""
         stamp, sources = read_sources(data)
-        now, limits = self._expire()
+        now, limits = self._catch_up()
         # Their plans wait in the node, or still in the middleware.
         self._sources.put(stamp, sources, now, limits.regions + PLANS_KEPT)
 
     def _on_image(self, image: AnyImage) -> None:
         """Keep an image for its plan, or cut it if the plan is there."""
-        now, limits = self._expire()
-        planned = self._images.add(image.stamp, image, now, limits.images, limits.slop)
+        now, limits = self._catch_up()
+        planned = self._images.add(image.stamp, image, now, limits.images, limits.max_bytes)
         if planned is not None:
             self._cut(image, planned, now)
+        self._cut_near(now, limits)
 
     def _on_regions(self, data: bytes) -> None:
         """Keep a plan for its image, or cut the image if it is there."""
@@ -212,16 +218,24 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self.monitor.add('chips_planned', len(plan))
         ticket = self._spool.plan(len(plan)) if self._spool is not None and len(plan) else None
         planned = PlannedFrame(plan, ticket)
-        now, limits = self._expire()
+        now, limits = self._catch_up()
         # Sources wait for their plan, and then as long as their plan.
         self._sources.renew(plan.stamp, now)
-        image = self._plans.add(plan.stamp, planned, now, limits.regions, limits.slop)
+        image = self._plans.add(plan.stamp, planned, now, limits.regions)
         if image is not None:
             self._cut(image, planned, now)
+        self._cut_near(now, limits)
 
-    def _expire(self) -> tuple[float, PairLimits]:
-        """Drop what has waited too long; return the time and the limits of what waits."""
+    def _cut_near(self, now: float, limits: PairLimits) -> None:
+        """Cut the images whose plan has another stamp, and is not to have one of its own."""
+        for image, planned in self._images.near_pairs(now, limits.slop, limits.max_age):
+            self.monitor.add('frames_paired_by_slop')
+            self._cut(image, planned, now)
+
+    def _catch_up(self) -> tuple[float, PairLimits]:
+        """Deal with what has waited long enough; return the time and the limits of what waits."""
         now, limits = time.monotonic(), self._settings().pairing
+        self._cut_near(now, limits)
         for waiting in (self._images, self._plans, self._sources):
             waiting.expire(now, limits.max_age)
         return now, limits
@@ -239,6 +253,16 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._store(planned, [], {f'crop_plan_{reason.value}': len(planned)})
         if reason in _MISTAKES or (len(planned) and reason in _EXPLANATIONS):
             self._warn_of_unpaired('crop_plans', reason)
+
+    def _warn_of_late_plan(self, planned: PlannedFrame, lateness: Lateness) -> None:
+        """Report chips that are lost because their image did not wait for its plan."""
+        if len(planned):
+            self.reporter.warn(
+                'late plan',
+                f'dropped a message on {self._plans_in.topic_name}: it came {lateness.age:.1f} s '
+                'after its image, which had been dropped: '
+                + self._settings().pairing.shortage(lateness),
+            )
 
     def _on_sources_dropped(self, reason: Unpaired, _: list[Source]) -> None:
         """Count sources that were not used."""

@@ -77,6 +77,7 @@ def shared(site: Site) -> Iterator[ChipNode]:
 def node(shared: ChipNode) -> ChipNode:
     """The module's node, with PNG and without a budget."""
     shared.set({'codec': 'png', 'lossless': False, 'quality': 85, 'cache.max_age': 2.0})
+    shared.set({'cache.images': 0, 'cache.max_bytes': 1e8, 'cache.slop': 0.0})
     shared.forget()
     return shared
 
@@ -86,6 +87,81 @@ def picture(encoding: str) -> NDArray[Any]:
     shape = (HEIGHT, WIDTH, len(layout.channels))
     values = np.random.default_rng(1).integers(0, 2**layout.depth, shape)
     return values.astype(f'u{layout.depth // 8}')
+
+
+def send_image(node: ChipNode, value: int = 0) -> Header:
+    """Publish a small image, and return its header."""
+    header = node.stamp()
+    pixels = np.full((8, 8), value, np.uint8)
+    node.images.publish(image_message('mono8', pixels, header))
+    node.peer.spin(0.01)
+    return header
+
+
+def warning_of_late_plan(node: ChipNode, header: Header) -> str:
+    """Publish a plan whose image is gone, and return the warning."""
+    before = node.counts()
+    node.send_plan([(0, 0, 4, 4)] * 2, header)
+    changed: dict[str, float] = {}
+
+    def is_dropped() -> bool:
+        changed.update(node.counts().since(before))
+        return 'crop_plans_dropped.partner_gone' in changed
+
+    node.wait(is_dropped, 'the plan to be dropped')
+    assert changed['chips_dropped.crop_plan_partner_gone'] == 2
+    return node.wait_for_log('after its image').rpartition('dropped: ')[2]
+
+
+def test_a_detector_may_be_forty_images_late(start: Callable[..., ChipNode]) -> None:
+    node = start(**{'codec': 'png', 'cache.max_age': 60.0})
+    node.connect()
+    before = node.counts()
+    first, *_ = [send_image(node) for _ in range(40)]
+    node.wait(lambda: node.counts().since(before)['images_received'] == 40, 'all images')
+    node.send_plan([(0, 0, 4, 4)], first)
+    node.wait(lambda: node.chips, 'the chip of the first image')
+    assert node.chips[0].header.stamp.sec == first.stamp.sec
+
+
+def test_a_plan_for_an_image_that_was_crowded_out_names_the_bytes_that_are_needed(
+    start: Callable[..., ChipNode],
+) -> None:
+    node = start(**{'codec': 'png', 'cache.max_bytes': 1000.0, 'cache.max_age': 60.0})
+    node.connect()
+    before = node.counts()
+    first, *_ = [send_image(node) for _ in range(25)]
+    node.wait(lambda: node.counts().since(before)['images_received'] == 25, 'all images')
+    # Of 64 bytes, 15 wait at most.
+    assert node.counts()['images_waiting'] == 15
+    said = warning_of_late_plan(node, first)
+    assert said == 'more than cache.max_bytes waited; 1600 bytes are needed'
+
+
+def test_a_plan_for_an_image_that_expired_says_how_late_it_is(
+    start: Callable[..., ChipNode],
+) -> None:
+    node = start(**{'codec': 'png', 'cache.max_age': 0.3})
+    node.connect()
+    first = send_image(node)
+    node.wait(lambda: node.counts()['images_dropped.expired'], 'expiry')
+    assert warning_of_late_plan(node, first) == 'it waited longer than cache.max_age'
+
+
+def test_the_image_of_an_equal_stamp_wins_though_it_comes_after_its_plan(node: ChipNode) -> None:
+    node.set({'cache.slop': 1.5})
+    before = node.counts()
+    for i in range(1, 31):
+        header = node.stamp()
+        if i % 3 == 0:
+            node.send_plan([(0, 0, 4, 4)], header)
+            node.peer.spin(0.05)
+        header_of_image = Header(stamp=header.stamp, frame_id=header.frame_id)
+        pixels = np.full((8, 8), i, np.uint8)
+        node.images.publish(image_message('mono8', pixels, header_of_image))
+    node.wait(lambda: len(node.chips) == 10, 'ten chips')
+    assert [pixels_of(chip).max() for chip in node.chips] == list(range(3, 31, 3))
+    assert 'frames_paired_by_slop' not in node.counts().since(before)
 
 
 @pytest.mark.parametrize('encoding', PIXEL_FORMATS)
@@ -189,6 +265,8 @@ def test_image_and_plan_may_come_in_either_order(node: ChipNode, image_first: bo
 def test_what_never_meets_comes_twice_or_has_no_stamp_is_counted_and_nothing_stalls(
     node: ChipNode,
 ) -> None:
+    node.set({'cache.images': 4})
+    node.wait(lambda: not node.counts()['images_waiting'], 'that no image waits')
     before = node.counts()
     image = image_message('mono8', np.zeros((8, 8), np.uint8), Header())
     region: list[Region] = [(0, 0, 4, 4)]
@@ -231,7 +309,7 @@ def test_what_never_meets_comes_twice_or_has_no_stamp_is_counted_and_nothing_sta
         'chips_dropped.crop_plan_duplicate': 1,
     }
     assert 'chips_waiting' not in changed
-    # Late: its partner has expired.
+    # Late: its partner has gone.
     late = node.stamp()
     node.send_plan(region, late)
     node.send(np.zeros((8, 8), np.uint8), 'mono8', region)

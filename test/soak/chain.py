@@ -71,7 +71,6 @@ class Chain(ExitStack):
         }
         patient = {
             f'{qos}/image.subscription.depth': 100,
-            'cache.images': 100,
             'cache.max_age': 60.0,
         }
         self.processes = [

@@ -9,6 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from obbhbb_ros.downlink.joiner import JoinerSide
+from obbhbb_ros.downlink.joiner import Lateness
+from obbhbb_ros.downlink.joiner import PairLimits
 from obbhbb_ros.downlink.joiner import StampCache
 from obbhbb_ros.downlink.joiner import Unpaired
 
@@ -41,10 +43,14 @@ class Log:
             stamp = stamp, 0
         for side in self.sides:
             side.expire(now, MAX_AGE)
-        partner = self.sides[kind].add(stamp, item, now, self.capacity[kind], slop)
-        if partner is None:
-            return None
-        return (partner, item) if kind else (item, partner)
+        partner = self.sides[kind].add(stamp, item, now, self.capacity[kind])
+        if partner is not None:
+            return (partner, item) if kind else (item, partner)
+        return next(self.near(now, slop), None)
+
+    def near(self, now, slop):
+        """Take the pairs whose stamps differ."""
+        return self.sides[0].near_pairs(now, slop, MAX_AGE)
 
     def waiting(self, kind):
         return list(self.sides[kind].waiting)
@@ -78,7 +84,7 @@ def test_what_waits_too_long_expires() -> None:
     log.add(0, 1, 'early', now=0.0)
     log.add(0, 2, 'later', now=0.5)
     assert log.add(1, 1, 'late', now=1.1) is None
-    assert log.dropped == [(0, Unpaired.EXPIRED, 'early')]
+    assert log.dropped == [(0, Unpaired.EXPIRED, 'early'), (1, Unpaired.PARTNER_GONE, 'late')]
     assert log.add(1, 2, 'in time', now=1.2) == ('later', 'in time')
 
 
@@ -189,12 +195,34 @@ def test_pairs_of_long_ago_are_forgotten() -> None:
 @pytest.mark.parametrize('second', [(5, 10_000_000), (4, 990_000_000)])
 @pytest.mark.parametrize('kinds', [(0, 1), (1, 0)])
 @pytest.mark.parametrize('slop', [0.0, 0.009, 0.01, 0.02])
-def test_stamps_that_differ_by_no_more_than_the_slop_pair(second, kinds, slop) -> None:
+def test_stamps_that_differ_by_no_more_than_the_slop_pair_in_the_end(second, kinds, slop) -> None:
     log = Log()
-    log.add(kinds[0], (5, 0), kinds[0], slop=slop)
-    pair = log.add(kinds[1], second, kinds[1], slop=slop)
-    assert pair == ((0, 1) if slop >= 0.01 else None)
+    assert log.add(kinds[0], (5, 0), kinds[0], slop=slop) is None
+    assert log.add(kinds[1], second, kinds[1], slop=slop) is None
+    assert list(log.near(0.9 * slop, slop)) == []
+    assert list(log.near(slop, slop)) == ([(0, 1)] if slop >= 0.01 else [])
     assert log.dropped == []
+
+
+def test_an_equal_stamp_on_its_way_wins() -> None:
+    log, slop = Log(capacity=(9, 9)), 1.5
+    # The plans come before their images, and only every third image has one.
+    pairs = []
+    for stamp in range(1, 31):
+        now = 0.01 * stamp
+        if stamp % 3 == 0:
+            pairs.append(log.add(1, stamp, stamp, now, slop))
+        pairs.append(log.add(0, stamp, stamp, now, slop))
+    assert [pair for pair in pairs if pair] == [(stamp, stamp) for stamp in range(3, 31, 3)]
+
+
+def test_an_unequal_stamp_is_taken_when_later_ones_of_both_kinds_have_come() -> None:
+    log, slop = Log(capacity=(9, 9)), 4e-9
+    assert log.add(0, (5, 10), 'image', slop=slop) is None
+    # A plan of the stamp 10 is not to come any more, but an image of the stamp 12 is.
+    assert log.add(1, (5, 12), 'plan', slop=slop) is None
+    assert log.add(0, (5, 20), 'next', slop=slop) == ('image', 'plan')
+    assert log.waiting(0) == ['next']
 
 
 @pytest.mark.parametrize(
@@ -215,15 +243,32 @@ def test_stamps_that_differ_by_no_more_than_the_slop_pair(second, kinds, slop) -
 def test_the_nearest_waiting_stamp_is_the_partner_the_earlier_of_two(stamp, partner) -> None:
     log = Log(capacity=(5, 5))
     for nanoseconds in (100, 110, 120):
-        log.add(0, (5, nanoseconds), nanoseconds, slop=10e-9)
-    pair = log.add(1, (5, stamp), 'plan', slop=10e-9)
+        log.add(0, (5, nanoseconds), nanoseconds)
+    pair = log.add(1, (5, stamp), 'plan') or next(log.near(0.5, slop=10e-9), None)
     assert pair == (None if partner is None else (partner, 'plan'))
+
+
+def test_a_pair_that_still_waits_keeps_both_for_itself() -> None:
+    log, slop = Log(capacity=(5, 5)), 0.1
+    log.add(0, (5, 0), 'image', now=0.0)
+    log.add(1, (4, 950_000_000), 'far', now=0.0)
+    log.add(1, (5, 10_000_000), 'near', now=0.09)
+    assert list(log.near(0.15, slop)) == []
+    assert list(log.near(0.2, slop)) == [('image', 'near')]
+
+
+def test_near_stamps_pair_before_they_are_too_old() -> None:
+    log = Log()
+    log.add(0, (5, 0), 'image', now=0.0)
+    log.add(1, (8, 0), 'plan', now=0.0)
+    assert list(log.near(MAX_AGE, slop=60.0)) == [('image', 'plan')]
 
 
 def test_an_item_is_paired_once_whatever_is_near() -> None:
     log, slop = Log(), 10e-9
     log.add(0, (5, 100), 'image', slop=slop)
-    assert log.add(1, (5, 101), 'first', slop=slop) == ('image', 'first')
+    log.add(1, (5, 101), 'first', slop=slop)
+    assert list(log.near(0.1, slop)) == [('image', 'first')]
     # The same plan again, and the same image: both have had their partner.
     assert log.add(1, (5, 101), 'first', slop=slop) is None
     assert log.add(1, (5, 102), 'second', slop=slop) is None
@@ -235,19 +280,74 @@ NANOSECONDS = st.lists(st.tuples(st.integers(0, 1), st.integers(1, 200)), max_si
 
 
 @given(NANOSECONDS, st.integers(0, 30))
-def test_no_pair_is_farther_apart_than_the_slop(events, slop) -> None:
+def test_no_pair_is_farther_apart_than_the_slop_and_none_is_left_that_is_not(events, slop) -> None:
     log = Log(capacity=(100, 100))
-    paired = 0
-    for kind, stamp in sorted(events, key=lambda event: event[1]):
-        waiting = [other for other in log.waiting(1 - kind) if abs(other - stamp) <= slop]
-        pair = log.add(kind, (0, stamp), stamp, slop=slop * 1e-9)
-        assert (pair is not None) == bool(waiting)
-        if pair:
-            paired += 2
-            assert pair[kind] == stamp
-            assert abs(pair[0] - pair[1]) == min(abs(other - stamp) for other in waiting)
-    assert paired + len(waiting_items(log)) == len(events)
+    pairs = []
+    for kind, stamp in events:
+        if pair := log.add(kind, (0, stamp), stamp):
+            assert pair[0] == pair[1]
+            pairs.append(pair)
+    pairs += log.near(0.5, slop * 1e-9)
+    assert all(abs(image - plan) <= slop for image, plan in pairs)
+    images, plans = log.waiting(0), log.waiting(1)
+    if slop:
+        assert not any(abs(image - plan) <= slop for image in images for plan in plans)
+    fates = [*images, *plans, *(stamp for pair in pairs for stamp in pair)]
+    assert sorted(fates) == sorted(stamp for _, stamp in events)
     assert log.dropped == []
+
+
+# What came too late
+
+
+@pytest.mark.parametrize('images', [0, 3])
+def test_a_plan_whose_image_is_gone_is_dropped_with_what_would_have_kept_it(images) -> None:
+    late, dropped = [], []
+    sides = [
+        JoinerSide(lambda *fate: dropped.append(fate), print, size_of=len),
+        JoinerSide(
+            lambda *fate: dropped.append(fate), print, lambda item, note: late.append((item, note))
+        ),
+    ]
+    sides[0].pair_with(sides[1])
+    for second in range(1, 7):
+        sides[0].add((second, 0), b'.' * 100, 0.1 * second, images, max_bytes=350)
+    assert dropped == [(Unpaired.CROWDED_OUT, b'.' * 100)] * 3
+    assert sides[1].add((3, 0), 'plan', 1.3) is None
+    ((item, lateness),) = late
+    assert (item, lateness.items, lateness.bytes) == ('plan', 4, 400)
+    assert lateness.age == pytest.approx(1.0)
+    assert dropped[3:] == [(Unpaired.PARTNER_GONE, 'plan')]
+    assert sides[1].add((4, 0), 'in time', 1.3) == b'.' * 100
+    # From the start: the image may come again.
+    sides[1].add((2, 0), 'again', 1.4)
+    assert list(sides[1].waiting) == ['again']
+
+
+def test_the_newest_item_stays_whatever_its_size() -> None:
+    dropped = []
+    cache = StampCache(lambda *fate: dropped.append(fate), size_of=len)
+    for item in ('small', 'large' * 10, 'tiny'):
+        cache.put((len(item), 0), item, 0.0, max_bytes=8)
+        assert list(cache) == [item]
+    assert dropped == [(Unpaired.CROWDED_OUT, 'small'), (Unpaired.CROWDED_OUT, 'large' * 10)]
+
+
+@pytest.mark.parametrize(
+    ('lateness', 'text'),
+    [
+        (Lateness(1.0, 3, 3100), 'more than cache.max_bytes waited; 3100 bytes are needed'),
+        (Lateness(1.0, 31, 310), 'more than cache.images waited; 31 images are needed'),
+        (Lateness(3.5, 3, 310), 'it waited longer than cache.max_age'),
+        (
+            Lateness(3.5, 3, 3100),
+            'more than cache.max_bytes waited; 3100 bytes are needed, '
+            'and it waited longer than cache.max_age',
+        ),
+    ],
+)
+def test_the_shortage_names_limit_and_need(lateness, text) -> None:
+    assert PairLimits(max_bytes=1000.0, images=10, max_age=2.0).shortage(lateness) == text
 
 
 def test_an_error_of_the_callback_costs_no_other_item() -> None:
