@@ -31,6 +31,8 @@ from obbhbb_ros.labels.image_labels import BowSource
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.label_file import LabelError
+from obbhbb_ros.labels.label_format import Format
+from obbhbb_ros.labels.losses import LossCount
 
 Progress = Callable[[Iterable[ImageLabels], 'int | None'], Iterable[ImageLabels]]
 
@@ -52,6 +54,8 @@ class LabelTally:
         Records that could not be read.
     bows : int or None
         Boxes whose bow is known; None if no bow was asked for.
+    losses : str
+        What the labels say and the format that is written cannot hold; '' for nothing.
     """
 
     images: int
@@ -59,6 +63,7 @@ class LabelTally:
     left_out: Mapping[str, int]
     malformed: int
     bows: int | None = None
+    losses: str = ''
 
     @property
     def complete(self) -> bool:
@@ -71,13 +76,14 @@ class LabelTally:
         return self.boxes > 0 or (self.images > 0 and self.complete)
 
     def __str__(self) -> str:
-        """Return the counts in one line."""
+        """Return the counts in one line, and the losses in another."""
         reasons = ', '.join(f'{count} {reason}' for reason, count in self.left_out.items())
         bows = '' if self.bows is None else f' ({self.bows} with a known bow)'
         return (
             f'{self.images} images, {self.boxes} boxes converted{bows}, '
             f'{sum(self.left_out.values())} left out{f" ({reasons})" if reasons else ""}, '
             f'{self.malformed} malformed records skipped'
+            f'{f"{chr(10)}not held by {self.losses}" if self.losses else ""}'
         )
 
 
@@ -222,13 +228,21 @@ def convert_file(
     convert = partial(convert_image, rule=rule, caps=caps, diagnostics=diagnostics, bow=bow)
     images, tally = convert_labels(progress(labels, total), convert, report)
     bows = None if bow == 'none' else tally.bows
-    tally = replace(tally, malformed=len(malformed), bows=bows)
+    losses = _losses(target_labels, images)
+    tally = replace(tally, malformed=len(malformed), bows=bows, losses=losses)
     if tally.readable:
         if target_labels is yolo.UPRIGHT:
             images = [_sized(image) for image in images]
         assert target_labels.write_boxes is not None
         target_labels.write_boxes(target, images)
     return tally
+
+
+def _losses(target: Format, images: Iterable[ImageBoxes]) -> str:
+    count = LossCount(target.holds, target.reserved)
+    for image in images:
+        count.add(image)
+    return f'{target.name}: {count}' if str(count) else ''
 
 
 def _sized(image: ImageBoxes) -> ImageBoxes:

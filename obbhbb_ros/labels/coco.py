@@ -12,11 +12,12 @@ COCO detection JSON: one file of many images, in pixels.
 The oriented box is the minimum rotated rectangle of the polygons, which are also the hull, unless
 there is one polygon of four corners; ``bbox`` is the reference box. An annotation without polygons
 is read as the upright box of its ``bbox``. Run-length masks are reported one by one and not read.
-Images are named by ``file_name``.
+Images are named by ``file_name``. Other members of an annotation are its properties.
 
 Ids of boxes are written if all of them are different whole numbers; otherwise boxes are numbered
-from 1 and their ids written as ``instance``. Scores are written if one is not 1, and diagnostics as
-members of their annotation.
+from 1 and their ids written as ``instance``. Ids of images and categories are written if all images
+have different ones and the listed categories do not contradict. Scores are written if one is not 1,
+``difficulty`` if it is not 0, and diagnostics and properties as members of their annotation.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +39,8 @@ from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import documents
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels import text
+from obbhbb_ros.labels.extras import Id
+from obbhbb_ros.labels.extras import LabelSet
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.image_labels import ImageSize
@@ -45,10 +49,15 @@ from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import Item
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
+from obbhbb_ros.labels.losses import PARTS
 
 MARKS = ('"annotations"', '"images"', '"categories"', '"licenses"')
 
-Id = int | str
+# Members of an annotation that are not its properties.
+MEMBERS = (
+    'id', 'image_id', 'category_id', 'bbox', 'area', 'segmentation', 'iscrowd', 'score', 'instance',
+    'difficulty',
+)  # fmt: skip
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
@@ -61,8 +70,10 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
     annotations = documents.numbered('annotations', document['annotations'])
     records = file.parse_records(annotations, partial(_annotation, images, categories))
     boxes = shapes.enclose(file, records)
+    label_set = LabelSet(_ids_by_name(categories or {}))
     for key, (name, size) in images.items():
-        yield file.image(name, boxes.get(repr(key), []), size)
+        rows = boxes.get(repr(key), [])
+        yield file.image(name, rows, size, image_id=key, label_set=label_set)
 
 
 def _check_lists(file: LabelFile, document: Any) -> None:
@@ -124,7 +135,7 @@ def _annotation(
         class_id = documents.plain_text(_id(annotation, 'category_id'))
     else:
         class_id = categories[_id_in(categories, annotation, 'category_id')]
-    instance = documents.plain_text(annotation.get('id'))
+    instance = documents.plain_text(annotation.get('instance', annotation.get('id')))
     score, bbox = annotation.get('score'), annotation.get('bbox')
     score = 1.0 if score is None else documents.json_number(score, 'score')
     reference: Sequence[float] = NO_REFERENCE
@@ -134,7 +145,31 @@ def _annotation(
     if not rings and bbox is None:
         raise ValueError("neither 'segmentation' nor 'bbox'")
     corners = () if rings else shapes.upright_corners(reference)
-    return shapes.Outlined(image, Box(corners, class_id, instance, score, reference), rings)
+    box = Box(
+        corners,
+        class_id,
+        instance,
+        score,
+        reference,
+        crowd=_crowd(annotation.get('iscrowd')),
+        difficulty=documents.parse_difficulty(documents.plain_text(annotation.get('difficulty'))),
+        properties=documents.json_properties(annotation, MEMBERS),
+    )
+    return shapes.Outlined(image, box, rings)
+
+
+def _crowd(value: object) -> bool:
+    if value not in (None, 0, 1):
+        raise ValueError(f"'iscrowd' is {value!r}, neither 0 nor 1")
+    return bool(value)
+
+
+def _ids_by_name(categories: Mapping[Id, str]) -> dict[str, Id]:
+    """Return the id of each category; the first one if several have the same name."""
+    ids: dict[str, Id] = {}
+    for key, name in categories.items():
+        ids.setdefault(name, key)
+    return ids
 
 
 def _rings(segmentation: object) -> list[FloatArray]:
@@ -152,17 +187,35 @@ def _rings(segmentation: object) -> list[FloatArray]:
 
 
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
-    names = dict.fromkeys(name for image in images for name in image.class_ids)
-    categories = {name: number for number, name in enumerate(names, start=1)}
+    categories, image_ids = _category_ids(images), _image_ids(images)
     document = {
-        'images': [_image_record(number, image) for number, image in enumerate(images, start=1)],
+        'images': [_image_record(*pair) for pair in zip(image_ids, images, strict=True)],
         'categories': [{'id': number, 'name': name} for name, number in categories.items()],
-        'annotations': _annotation_records(images, categories),
+        'annotations': _annotation_records(images, image_ids, categories),
     }
     text.write_lines(path, [json.dumps(document, ensure_ascii=False, allow_nan=False)])
 
 
-def _image_record(number: int, image: ImageBoxes) -> dict[str, Any]:
+def _category_ids(images: Sequence[ImageBoxes]) -> dict[str, Id]:
+    """Give the listed categories the ids that they have, and the others the next ones."""
+    sets = {id(image.extras.label_set): image.extras.label_set for image in images}
+    listed = [entry for one in sets.values() for entry in one.categories.items()]
+    ids = dict(listed)
+    names = dict.fromkeys([*ids, *(name for image in images for name in image.class_ids)])
+    if any(ids[name] != key for name, key in listed) or len(set(ids.values())) != len(ids):
+        ids = {}
+    last = max((key for key in ids.values() if isinstance(key, int)), default=0)
+    new = count(max(last, 0) + 1)
+    return {name: ids[name] if name in ids else next(new) for name in names}
+
+
+def _image_ids(images: Sequence[ImageBoxes]) -> list[Id]:
+    ids = [image.extras.image_id for image in images]
+    known = [key for key in ids if key is not None]
+    return known if len(set(known)) == len(ids) else list(range(1, len(ids) + 1))
+
+
+def _image_record(number: Id, image: ImageBoxes) -> dict[str, Any]:
     record: dict[str, Any] = {'id': number, 'file_name': image.image}
     if image.size is not None:
         record['width'], record['height'] = image.size
@@ -170,14 +223,14 @@ def _image_record(number: int, image: ImageBoxes) -> dict[str, Any]:
 
 
 def _annotation_records(
-    images: list[ImageBoxes], categories: Mapping[str, int]
+    images: list[ImageBoxes], image_ids: Sequence[Id], categories: Mapping[str, Id]
 ) -> list[dict[str, Any]]:
     scored = any(np.any(image.scores != 1.0) for image in images)
     ids = [instance for image in images for instance in image.ids]
     keep_ids = all(map(text.is_index, ids)) and len(set(map(int, ids))) == len(ids)
     records: list[dict[str, Any]] = []
-    for image_id, image in enumerate(images, start=1):
-        for box in image.rows():
+    for image_id, image in zip(image_ids, images, strict=True):
+        for box in image.rows(MEMBERS):
             x_min, y_min, x_max, y_max = box.xyxy
             width, height = x_max - x_min, y_max - y_min
             record: dict[str, Any] = {
@@ -186,14 +239,16 @@ def _annotation_records(
                 'category_id': categories[box.class_id],
                 'bbox': [x_min, y_min, width, height],
                 'area': width * height,
-                'iscrowd': 0,
+                'iscrowd': int(box.crowd),
                 **box.diagnostics,
             }
             if scored:
                 record['score'] = box.score
             if box.id and not keep_ids:
                 record['instance'] = box.id
-            records.append(record)
+            if box.difficulty:
+                record['difficulty'] = box.difficulty
+            records.append({**record, **box.properties})
     return records
 
 
@@ -209,5 +264,6 @@ FORMAT = Format(
     sniff=_sniff,
     read=_read,
     write_boxes=_write_boxes,
-    holds=('diagnostics', 'scores', 'ids', 'image sizes', 'images without boxes'),
+    holds=set(PARTS) - {'file names', 'reference system'},
+    reserved=MEMBERS,
 )

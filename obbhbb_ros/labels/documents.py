@@ -7,8 +7,10 @@ import json
 import math
 import re
 from collections.abc import Callable
+from collections.abc import Collection
 from collections.abc import Iterable
 from collections.abc import Iterator
+from collections.abc import Mapping
 from typing import Any
 
 from obbhbb_ros.labels.image_labels import ImageSize
@@ -17,6 +19,8 @@ from obbhbb_ros.labels.label_file import Record
 
 TOKEN = re.compile(r'"((?:[^"\\]|\\.)*)("|$)|[][{},:]', re.DOTALL)
 MAX_LEVEL = 4
+# How deep the value of a property may be nested.
+MAX_DEPTH = 16
 
 
 def image_size_of(width: object, height: object) -> ImageSize | None:
@@ -110,6 +114,39 @@ def json_number(value: object, what: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f'{what} has a number that is not finite')
     return number
+
+
+def parse_difficulty(value: str) -> int:
+    """Parse how difficult a box is: a whole number below 1000; 0 if it is ''."""
+    if value and not (value.isascii() and value.isdigit() and len(value) <= 3):
+        raise ValueError(f'difficulty {value!r} is not a whole number')
+    return int(value or 0)
+
+
+def json_properties(record: Mapping[str, Any], known: Collection[str]) -> dict[str, Any]:
+    """
+    Return the members of a JSON object that are not `known`; not a number becomes None.
+
+    Raises ValueError if one is nested deeper than `MAX_DEPTH`, or is text that cannot be written.
+    """
+    return {
+        plain_text(name): _json_property(name, value, 0)
+        for name, value in record.items()
+        if name not in known
+    }
+
+
+def _json_property(name: str, value: Any, depth: int) -> Any:
+    if depth > MAX_DEPTH:
+        raise ValueError(f'{name!r} is nested deeper than {MAX_DEPTH}')
+    if isinstance(value, list):
+        return [_json_property(name, item, depth + 1) for item in value]
+    if isinstance(value, dict):
+        items = value.items()
+        return {plain_text(key): _json_property(name, item, depth + 1) for key, item in items}
+    if isinstance(value, str):
+        return plain_text(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def plain_text(value: object) -> str:

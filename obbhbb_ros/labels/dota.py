@@ -9,7 +9,7 @@ DOTA labelTxt (v1.0, v1.5, v2.0): one text file per image, one box per line, in 
     2753 2408 2861 2385 2888 2468 2805 2502 ship 0
 
 Header lines and the difficulty at the end are optional; fields may be separated by commas, as on
-the page that describes the format. Files are written with difficulty 0 and without header lines.
+the page that describes the format. Files are written with difficulty and without header lines.
 The format has no ids, scores, hulls or reference boxes: these are not written.
 """
 
@@ -19,6 +19,7 @@ import re
 from pathlib import Path
 
 from obbhbb_ros.labels import text
+from obbhbb_ros.labels.documents import parse_difficulty
 from obbhbb_ros.labels.folders import write_per_image
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.label_file import Box
@@ -41,10 +42,8 @@ def _parse(line: str) -> Box | None:
     if len(fields) not in COUNTS:
         raise ValueError(f'{len(fields)} fields, expected 9 or 10: {FIELDS}')
     corners = text.parse_numbers(fields[:8])
-    for difficulty in fields[9:]:
-        if not text.is_index(difficulty):
-            raise ValueError(f'difficulty {difficulty!r} is not a whole number')
-    return Box(corners, fields[8])
+    difficulty = parse_difficulty(fields[9] if len(fields) > COUNTS[0] else '')
+    return Box(corners, fields[8], difficulty=difficulty)
 
 
 def _split(line: str) -> list[str]:
@@ -63,8 +62,8 @@ def _lines(labels: ImageLabels) -> list[str]:
                 'which a DOTA category cannot'
             )
     corners = labels.corners.reshape(-1, 8).tolist()
-    pairs = zip(corners, labels.class_ids, strict=True)
-    return [f'{text.join_numbers(box)} {category} 0' for box, category in pairs]
+    rows = zip(corners, labels.class_ids, labels.difficulties, strict=True)
+    return [f'{text.join_numbers(box)} {category} {level}' for box, category, level in rows]
 
 
 def _sniff(head: str) -> bool:

@@ -17,7 +17,7 @@ HRSC2016 XML: one file per image with the oriented and the upright box of each s
 ``mbox_ang`` is in radians from image +x towards +y, along ``mbox_w``. A ship without ``mbox_…``
 is read as the upright box of its ``box_…``. The head point, ``header_…``, says where the bow is if
 it lies within a quarter of the length from the middle of one end of the oriented box; if it is
-missing, 0 0 or anywhere else, the bow is not known. Difficulty and segmentation are not read.
+missing, 0 0 or anywhere else, the bow is not known. Segmentation is not read.
 An image without a file name or id is named after the label file.
 """
 
@@ -26,6 +26,7 @@ from __future__ import annotations
 from xml.etree.ElementTree import Element
 
 from obbhbb_ros.labels import shapes
+from obbhbb_ros.labels.documents import parse_difficulty
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.label_file import NO_REFERENCE
 from obbhbb_ros.labels.label_file import Box
@@ -62,7 +63,8 @@ def _parse(element: Element) -> Box:
     else:
         corners = shapes.upright_corners(reference)
     class_id, number = text_of(element, 'Class_ID'), text_of(element, 'Object_ID')
-    return Box(corners, class_id, number, reference=reference, bow=bow)
+    difficulty = parse_difficulty(text_of(element, 'difficult'))
+    return Box(corners, class_id, number, reference=reference, bow=bow, difficulty=difficulty)
 
 
 def _head(element: Element) -> tuple[float, float] | None:

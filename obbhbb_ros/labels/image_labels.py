@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from collections.abc import Iterator
 from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -99,6 +101,12 @@ class ImageLabels:
                 raise ValueError(f'{name} has {entries} entries for {count} class_ids')
         self.extras.check(self.image, count)
 
+    @property
+    def difficulties(self) -> list[int]:
+        """How difficult the N boxes are, 0 for easy ones."""
+        values = self.extras.difficulty
+        return [0] * len(self.class_ids) if values is None else values.tolist()
+
     def boxes(self, bow: BowSource = 'none') -> OrientedBoxes:
         """
         Return the oriented boxes.
@@ -169,12 +177,17 @@ class ImageBoxes:
             raise ValueError(f'image {self.image!r}: a box has a value that is not finite')
         self.extras.check(self.image, count)
 
-    def rows(self) -> Iterator[BoxRow]:
-        """Iterate over the boxes, with the six diagnostics or with none."""
+    def rows(self, reserved: Collection[str] = ()) -> Iterator[BoxRow]:
+        """
+        Iterate over the boxes, with the six diagnostics or with none.
+
+        Properties named like a diagnostic or like one of the `reserved` names, which are in lower
+        case, are left out.
+        """
         names = () if self.diagnostics is None else DIAGNOSTICS
         columns = {name: getattr(self.diagnostics, name).tolist() for name in names}
         crowd, difficulty = self.extras.crowd, self.extras.difficulty
-        properties = self.extras.properties
+        properties = self._properties_besides({*names, *reserved})
         rows = zip(self.xyxy.tolist(), self.class_ids, self.ids, self.scores.tolist(), strict=True)
         for index, row in enumerate(rows):
             yield BoxRow(
@@ -184,6 +197,10 @@ class ImageBoxes:
                 0 if difficulty is None else int(difficulty[index]),
                 {name: values[index] for name, values in properties.items()},
             )
+
+    def _properties_besides(self, taken: Collection[str]) -> Mapping[str, Sequence[Any]]:
+        properties = self.extras.properties
+        return {name: properties[name] for name in properties if name.lower() not in taken}
 
 
 def _none_if_nan(value: Value) -> Value:

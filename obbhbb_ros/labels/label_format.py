@@ -42,6 +42,8 @@ class Format:
         The same for a list of `ImageBoxes`. None if the format is not written with these.
     holds : collection of Part
         What `write_boxes` writes besides boxes and classes.
+    reserved : collection of str
+        Names, in lower case, that a property cannot have, since the format has them itself.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Format:
     write: Callable[[Path, list[ImageLabels]], None] | None = None
     write_boxes: Callable[[Path, list[ImageBoxes]], None] | None = None
     holds: Collection[Part] = ()
+    reserved: Collection[str] = ()
 
 
 def names(formats: Iterable[Format]) -> str:

@@ -11,6 +11,8 @@ from typing import get_args
 
 import numpy as np
 
+from obbhbb_ros.labels.extras import Id
+from obbhbb_ros.labels.image_labels import DIAGNOSTICS
 from obbhbb_ros.labels.image_labels import ImageBoxes
 
 Part: TypeAlias = Literal[
@@ -30,6 +32,11 @@ Part: TypeAlias = Literal[
 """What a format may hold besides boxes and classes."""
 
 PARTS: tuple[Part, ...] = get_args(Part)
+SINGULARS: dict[Part, str] = {
+    'difficulties': 'difficulty',
+    'properties': 'property',
+    'images without boxes': 'image without boxes',
+}
 
 
 class LossCount:
@@ -49,34 +56,53 @@ class LossCount:
         self._reserved = reserved
         self._counts: Counter[Part] = Counter()
         self._properties: dict[str, None] = {}
-        self._categories: dict[str, None] = {}
+        self._image_ids: set[Id | None] = set()
+        self._images = 0
+        self._categories: dict[tuple[str, Id], None] = {}
         self._systems: dict[str, None] = {}
 
     def add(self, image: ImageBoxes) -> None:
         """Count what the format loses of an image."""
         extras = image.extras
-        names: Collection[str] = extras.properties
-        if 'properties' in self._holds:
-            names = [name for name in names if name.lower() in self._reserved]
-        self._properties.update(dict.fromkeys(names))
-        if 'category ids' not in self._holds:
-            self._categories.update(dict.fromkeys(extras.label_set.categories))
-        if extras.label_set.crs and 'reference system' not in self._holds:
+        self._properties.update(dict.fromkeys(self._lost_properties(image)))
+        self._image_ids.add(extras.image_id)
+        self._images += 1
+        self._categories.update(dict.fromkeys(extras.label_set.categories.items()))
+        if extras.label_set.crs:
             self._systems[extras.label_set.crs] = None
-        for part, count in _counts(image).items():
-            if part not in self._holds and count:
-                self._counts[part] += count
+        self._counts.update(_counts(image))
+
+    def _lost_properties(self, image: ImageBoxes) -> Collection[str]:
+        names = image.extras.properties
+        if 'properties' not in self._holds:
+            return names
+        taken = {*self._reserved, *(DIAGNOSTICS if image.diagnostics is not None else ())}
+        return [name for name in names if name.lower() in taken]
 
     def __str__(self) -> str:
         """List the losses: ``12 scores, 2 properties (mmsi, time)``; '' if there are none."""
-        texts = [f'{self._counts[part]} {part}' for part in PARTS if part in self._counts]
+        texts = [_counted(self._counts[part], part) for part in PARTS if self._loses(part)]
         if self._properties:
-            texts.append(f'{len(self._properties)} properties ({_some(self._properties)})')
-        if self._categories:
-            texts.append(f'{len(self._categories)} category ids ({_some(self._categories)})')
-        if self._systems:
+            number = _counted(len(self._properties), 'properties')
+            texts.append(f'{number} ({_some(self._properties)})')
+        if self._loses_categories():
+            names = dict.fromkeys(name for name, _ in self._categories)
+            texts.append(f'{_counted(len(names), "category ids")} ({_some(names)})')
+        if self._systems and 'reference system' not in self._holds:
             texts.append(f'reference system ({_some(self._systems)})')
         return ', '.join(texts)
+
+    def _loses(self, part: Part) -> bool:
+        """Whether a part that is counted by image or box is lost."""
+        # Ids of images that repeat, as those of several files do, are replaced by new ones.
+        repeats = part == 'image ids' and len(self._image_ids) < self._images
+        return self._counts[part] > 0 and (part not in self._holds or repeats)
+
+    def _loses_categories(self) -> bool:
+        names = {name for name, _ in self._categories}
+        ids = {key for _, key in self._categories}
+        contradict = not len(names) == len(ids) == len(self._categories)
+        return bool(self._categories) and ('category ids' not in self._holds or contradict)
 
 
 def _counts(image: ImageBoxes) -> dict[Part, int]:
@@ -93,6 +119,11 @@ def _counts(image: ImageBoxes) -> dict[Part, int]:
         'image ids': int(extras.image_id is not None),
         'file names': int(bool(extras.file_name)),
     }
+
+
+def _counted(number: int, part: Part) -> str:
+    singular = SINGULARS.get(part, part.removesuffix('s'))
+    return f'{number} {singular if number == 1 else part}'
 
 
 def _some(names: Collection[str]) -> str:

@@ -43,6 +43,7 @@ from xml.etree.ElementTree import Element
 from xml.etree.ElementTree import SubElement
 
 from obbhbb_ros.labels import shapes
+from obbhbb_ros.labels.documents import parse_difficulty
 from obbhbb_ros.labels.folders import write_per_image
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
@@ -76,7 +77,8 @@ def _read(file: LabelFile) -> list[ImageLabels]:
     long_edge = root.find('polarization') is not None
     records = file.parse_records(objects, partial(_parse, long_edge))
     boxes = shapes.enclose(file, records).get(IMAGE, [])
-    return [file.image(file.path.stem, boxes, size_of(root, 'size/width', 'size/height'))]
+    size = size_of(root, 'size/width', 'size/height')
+    return [file.image(file.path.stem, boxes, size, file_name=text_of(root, 'filename'))]
 
 
 def _parse(long_edge: bool, element: Element) -> shapes.Outlined:
@@ -101,7 +103,9 @@ def _parse(long_edge: bool, element: Element) -> shapes.Outlined:
         corners = numbers_of(drawn, _points(4))
     else:
         rings = [shapes.ring_of_pairs(numbers_of(drawn, _points(len(drawn) // 2)))]
-    return shapes.Outlined(IMAGE, Box(corners, name, reference=reference), rings)
+    difficulty = parse_difficulty(text_of(element, 'difficult'))
+    box = Box(corners, name, reference=reference, difficulty=difficulty)
+    return shapes.Outlined(IMAGE, box, rings)
 
 
 def _oriented(element: Element, long_edge: bool) -> Sequence[float]:
@@ -138,7 +142,7 @@ def _write(path: Path, images: list[ImageBoxes]) -> None:
 
 def _document(image: ImageBoxes) -> list[str]:
     root = Element(ROOT)
-    _add(root, filename=image.image)
+    _add(root, filename=image.extras.file_name or image.image)
     if image.size is not None:
         width, height = image.size
         _add(SubElement(root, 'size'), width=str(width), height=str(height), depth='3')
@@ -146,7 +150,8 @@ def _document(image: ImageBoxes) -> list[str]:
         if not box.class_id.strip():
             raise ValueError(f'image {image.image!r}: VOC needs a name for every class')
         element = SubElement(root, 'object')
-        _add(element, name=box.class_id, pose='Unspecified', truncated='0', difficult='0')
+        _add(element, name=box.class_id, pose='Unspecified', truncated='0')
+        _add(element, difficult=str(box.difficulty))
         bounds = map(repr, box.xyxy)
         _add(SubElement(element, 'bndbox'), **dict(zip(BOUNDS, bounds, strict=True)))
     ElementTree.indent(root)
@@ -167,5 +172,5 @@ FORMAT = Format(
     sniff=lambda head: re.search(f'<{ROOT}[ >]', head) is not None,
     read=_read,
     write_boxes=_write,
-    holds=('image sizes', 'images without boxes'),
+    holds=('difficulties', 'file names', 'image sizes', 'images without boxes'),
 )
