@@ -17,7 +17,9 @@ import numpy as np
 
 from obbhbb_ros.labels import coco
 from obbhbb_ros.labels import csv_tables
+from obbhbb_ros.labels import cvat
 from obbhbb_ros.labels import dota
+from obbhbb_ros.labels import fair1m
 from obbhbb_ros.labels import geojson
 from obbhbb_ros.labels import hrsc
 from obbhbb_ros.labels import label_studio
@@ -49,6 +51,8 @@ _ALL = (
     csv_tables.WKT_TABLE,
     hrsc.FORMAT,
     voc.FORMAT,
+    cvat.FORMAT,
+    fair1m.FORMAT,
     coco.FORMAT,
     geojson.FORMAT,
     labelme.FORMAT,

@@ -19,17 +19,27 @@ from obbhbb_ros.labels.text import parse_number
 BLOCK_BYTES = 65536
 
 
+def read_xml(file: LabelFile, root_tag: str) -> tuple[Element, dict[Element, int]]:
+    """
+    Read the root of an XML file, and the line of each element in it.
+
+    Raises FileError if it is not XML or has another root.
+    """
+    root, lines = _parse_xml(file)
+    if root.tag != root_tag:
+        raise file.error(f'the root is <{root.tag}>, expected <{root_tag}>', lines[root])
+    return root, lines
+
+
 def read_objects(
     file: LabelFile, root_tag: str, path: str
 ) -> tuple[Element, Iterator[Record[Element]]]:
     """
     Read the root and, as records for `LabelFile.parse_records`, the elements of the objects.
 
-    `path` leads from the root to them. Raises FileError if it is not XML or has another root.
+    `path` leads from the root to them. Errors are those of `read_xml`.
     """
-    root, lines = _parse_xml(file)
-    if root.tag != root_tag:
-        raise file.error(f'the root is <{root.tag}>, expected <{root_tag}>', lines[root])
+    root, lines = read_xml(file, root_tag)
     objects = (
         (lines[element], f'object {number}: ', element)
         for number, element in enumerate(root.findall(path), start=1)
@@ -38,7 +48,6 @@ def read_objects(
 
 
 def _parse_xml(file: LabelFile) -> tuple[Element, dict[Element, int]]:
-    """Parse an XML file; also return the line of each element."""
     data = file.path.read_bytes()
     builder = TreeBuilder()
     lines: dict[Element, int] = {}

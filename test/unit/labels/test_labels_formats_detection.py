@@ -22,8 +22,8 @@ CSV = 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\n'
 
 def test_the_registry_has_every_format_under_its_own_name() -> None:
     assert list(FORMATS) == [
-        'dota', 'yolo_obb', 'yolo', 'csv', 'wkt', 'hrsc', 'voc', 'coco', 'geojson', 'labelme',
-        'label_studio', 'ultralytics', 'shapefile',
+        'dota', 'yolo_obb', 'yolo', 'csv', 'wkt', 'hrsc', 'voc', 'cvat', 'fair1m', 'coco',
+        'geojson', 'labelme', 'label_studio', 'ultralytics', 'shapefile',
     ]  # fmt: skip
     for name, entry in FORMATS.items():
         assert entry.name == name
@@ -57,6 +57,8 @@ def test_the_registry_has_every_format_under_its_own_name() -> None:
         ('a.txt', '0 0.5 0.5 0.1 0.1 0.93 4\n', 'yolo'),
         ('a.xml', '<?xml version="1.0"?>\n<HRSC_Image>\n', 'hrsc'),
         ('a.xml', '<annotation verified="no">\n', 'voc'),
+        ('a.xml', '<annotations>\n<version>1.1</version>', 'cvat'),
+        ('a.xml', '<annotation><source/><objects><object>', 'fair1m'),
         ('a.json', '{"info": {}, "licenses": [], "images": [', 'coco'),
         ('a.json', '{"type": "FeatureCollection", "features": [', 'geojson'),
         ('a.geojson', '{}', 'geojson'),

@@ -250,7 +250,7 @@ LAUGHS = '<!DOCTYPE annotation [<!ENTITY a0 "ha">' + ''.join(
 )
 
 
-@pytest.mark.parametrize('format_name', ['hrsc', 'voc'])
+@pytest.mark.parametrize('format_name', ['hrsc', 'voc', 'cvat', 'fair1m'])
 @pytest.mark.parametrize(
     ('text', 'line', 'message'),
     [
