@@ -30,27 +30,31 @@ from __future__ import annotations
 import csv
 import io
 import re
+import sys
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
+from collections.abc import Mapping
 from collections.abc import Sequence
 from functools import partial
+from itertools import chain
+from itertools import compress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import shapely
 
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels import text
+from obbhbb_ros.labels.image_grouper import ImageGrouper
 from obbhbb_ros.labels.image_labels import DIAGNOSTICS
 from obbhbb_ros.labels.image_labels import MIN_HULL_POINTS
 from obbhbb_ros.labels.image_labels import AnyImage
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
-from obbhbb_ros.labels.image_labels import Value
-from obbhbb_ros.labels.label_file import NO_REFERENCE
-from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import Item
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_file import Record
@@ -63,16 +67,20 @@ NAMES = ('image', 'instance', 'class')
 COLUMNS = (*NAMES, *CORNERS, *REFERENCE, 'mask', 'score')
 BOX_COLUMNS = (*NAMES, 'score', *BOUNDS)
 GEOMETRY = ('wkt', 'geometry', 'geom', 'the_geom')
+# What the csv module puts in quotes, besides commas and line feeds.
+QUOTED = re.compile('["\r]')
 SRID = re.compile(r'\s*SRID\s*=\s*\d+\s*;', re.IGNORECASE)
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
-    images: dict[str, list[Box]] = {}
-    for _, _, (image, box) in _read_rows(file, _row_parser):
-        boxes = images.setdefault(image, [])
-        if box is not None:
-            boxes.append(box)
-    return file.images(images)
+    blocks = text.filled_blocks(file)
+    numbers, lines = next(blocks, ((), ('',)))
+    columns, shape = _header(file, lines[0], next(iter(numbers), None), _corner_columns)
+    rest = chain([(numbers[1:], lines[1:])], blocks)
+    images = ImageGrouper()
+    for part in file.parse_blocks(rest, partial(_parse_lines, file, columns, shape)):
+        images.add(*part)
+    return images.images()
 
 
 def _read_wkt(file: LabelFile) -> Iterator[ImageLabels]:
@@ -86,11 +94,7 @@ def _read_rows(
     """Parse the rows below a header; `parser_for` makes the row parser from the column names."""
     lines = text.filled_lines(file)
     number, _, header = next(lines, (None, '', ''))
-    try:
-        columns = [column.strip() for column in text.split_row(header)]
-        parse = parser_for(columns)
-    except ValueError as error:
-        raise file.error(str(error), number) from None
+    columns, parse = _header(file, header, number, parser_for)
 
     def parse_line(line: str) -> Item:
         fields = text.split_row(line)
@@ -101,7 +105,19 @@ def _read_rows(
     return file.parse_records(lines, parse_line)
 
 
-def _row_parser(columns: list[str]) -> Callable[[list[str]], tuple[str, Box | None]]:
+def _header(
+    file: LabelFile, line: str, number: int | None, check: Callable[[list[str]], Item]
+) -> tuple[list[str], Item]:
+    """Return the names of the columns, and what `check` makes of them."""
+    try:
+        columns = [column.strip() for column in text.split_row(line)]
+        return columns, check(columns)
+    except ValueError as error:
+        raise file.error(str(error), number) from None
+
+
+def _corner_columns(columns: list[str]) -> Sequence[str]:
+    """Return the names of the columns of the corners or of the bounds."""
     upright = not set(BOUNDS).isdisjoint(columns) and set(CORNERS).isdisjoint(columns)
     shape = BOUNDS if upright else CORNERS
     reference = () if set(REFERENCE).isdisjoint(columns) else REFERENCE
@@ -111,26 +127,65 @@ def _row_parser(columns: list[str]) -> Callable[[list[str]], tuple[str, Box | No
     twice = [column for column in (*COLUMNS, *shape) if columns.count(column) > 1]
     if twice:
         raise ValueError(f'columns named more than once: {", ".join(dict.fromkeys(twice))}')
-    return partial(_parse_row, columns, shape)
+    return shape
 
 
-def _parse_row(
-    columns: list[str], shape: Sequence[str], fields: list[str]
-) -> tuple[str, Box | None]:
-    """Parse image name and box; `shape` names the columns of the corners or of the bounds."""
-    row = dict(zip(columns, fields, strict=True))
-    if not row['image']:
+def _parse_lines(
+    file: LabelFile, columns: Sequence[str], shape: Sequence[str], lines: Sequence[str]
+) -> tuple[Sequence[str], Sequence[bool], ImageLabels]:
+    """
+    Parse rows; `shape` names the columns of the corners or of the bounds.
+
+    Returns the image of each row, whether it has a box, and the boxes.
+    """
+    rows = text.split_rows(lines)
+    if {*map(len, rows)} != {len(columns)}:
+        raise ValueError(f'{len(rows[0])} fields, the header has {len(columns)}')
+    table = dict(zip(columns, zip(*rows, strict=True), strict=True))
+    images, filled = table['image'], [True] * len(rows)
+    if not all(images):
         raise ValueError('no image name')
-    if sum(map(bool, fields)) == 1:
-        return row['image'], None
-    corners: Sequence[float] = text.parse_numbers([row[column] for column in shape])
-    bounds = [row.get(column, '') for column in REFERENCE]
-    reference: Sequence[float] = text.parse_numbers(bounds) if any(bounds) else NO_REFERENCE
+    if not all(table[shape[0]]):
+        filled = [sum(map(bool, row)) != 1 for row in rows]
+        table = {name: tuple(compress(values, filled)) for name, values in table.items()}
+    return images, filled, _parse_boxes(file, table, shape)
+
+
+def _parse_boxes(
+    file: LabelFile, table: Mapping[str, Sequence[str]], shape: Sequence[str]
+) -> ImageLabels:
+    """Turn columns of N fields into N boxes."""
+    count = len(table['image'])
+    coordinates = text.parse_columns([table[name] for name in shape])
+    reference = _parse_reference([table.get(name, ('',) * count) for name in REFERENCE])
+    corners = (
+        coordinates.reshape(-1, 4, 2) if shape is CORNERS else shapes.upright_rows(coordinates)
+    )
     if shape is BOUNDS:
-        reference = corners if reference is NO_REFERENCE else reference
-        corners = shapes.upright_corners(corners)
-    score, hull = text.parse_score(row.get('score', '')), _parse_hull(row.get('mask', ''))
-    return row['image'], Box(corners, row['class'], row['instance'], score, reference, hull)
+        reference = np.where(np.isnan(reference), coordinates, reference)
+    masks = table.get('mask', ())
+    return ImageLabels(
+        image='',
+        corners=corners,
+        class_ids=tuple(map(sys.intern, table['class'])),
+        ids=tuple(map(sys.intern, table['instance'])),
+        scores=text.parse_scores(table.get('score', ('',) * count)),
+        reference=reference,
+        hulls=tuple(map(_parse_hull, masks)) if any(masks) else (None,) * count,
+        size=file.image_size,
+        source=file.path,
+    )
+
+
+def _parse_reference(columns: Sequence[Sequence[str]]) -> FloatArray:
+    """Parse the reference boxes, (N, 4), NaN where all four fields are blank."""
+    given = list(map(any, zip(*columns, strict=True)))
+    reference = np.full((len(given), 4), np.nan)
+    if any(given):
+        reference[given] = text.parse_columns(
+            [tuple(compress(column, given)) for column in columns]
+        )
+    return reference
 
 
 def _parse_hull(field: str) -> FloatArray | None:
@@ -171,14 +226,14 @@ def _wkt_rings(wkt: str) -> list[FloatArray]:
 
 def _write(path: Path, images: list[ImageLabels]) -> None:
     scored = any(np.any(labels.scores != 1.0) for labels in images)
-    _write_rows(path, COLUMNS if scored else COLUMNS[:-1], images, _label_rows)
+    columns = COLUMNS if scored else COLUMNS[:-1]
+    text.write_lines(path, _table_lines(columns, images, _label_columns))
 
 
-def _label_rows(labels: ImageLabels) -> Iterator[list[str]]:
-    numbers = np.hstack((labels.corners.reshape(-1, 8), labels.reference)).tolist()
-    columns = labels.ids, labels.class_ids, numbers, labels.hulls, labels.scores.tolist()
-    for instance, class_id, row, hull, score in zip(*columns, strict=True):
-        yield [labels.image, instance, class_id, *map(_field, row), _mask(hull), _field(score)]
+def _label_columns(labels: ImageLabels) -> list[Sequence[str]]:
+    numbers = np.hstack((labels.corners.reshape(-1, 8), labels.reference)).T
+    masks = list(map(_mask, labels.hulls))
+    return [labels.ids, labels.class_ids, *map(_texts, numbers), masks, _texts(labels.scores)]
 
 
 def _mask(hull: FloatArray | None) -> str:
@@ -188,36 +243,50 @@ def _mask(hull: FloatArray | None) -> str:
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
     diagnosed = any(image.diagnostics is not None for image in images)
     columns = (*BOX_COLUMNS, *DIAGNOSTICS) if diagnosed else BOX_COLUMNS
-    _write_rows(path, columns, images, _box_rows)
+    text.write_lines(path, _table_lines(columns, images, _box_columns))
 
 
-def _box_rows(image: ImageBoxes) -> Iterator[list[str]]:
-    for box in image.rows():
-        values = map(_field, (box.score, *box.xyxy, *box.diagnostics.values()))
-        yield [image.image, box.id, box.class_id, *values]
+def _box_columns(image: ImageBoxes) -> list[Sequence[str]]:
+    names = () if image.diagnostics is None else DIAGNOSTICS
+    numbers = image.scores, *image.xyxy.T, *(getattr(image.diagnostics, name) for name in names)
+    return [image.ids, image.class_ids, *map(_texts, numbers)]
 
 
-def _field(value: Value) -> str:
-    if value is None or value != value:  # noqa: PLR0124
-        return ''
-    return str(int(value)) if isinstance(value, bool) else repr(value)
+def _texts(values: npt.NDArray[Any]) -> list[str]:
+    """Turn numbers into the shortest text that reads back unchanged; NaN into ''."""
+    if values.dtype == np.bool_:
+        return [str(int(value)) for value in values]
+    texts = list(map(repr, values.tolist()))
+    for row in np.flatnonzero(np.isnan(values)).tolist():
+        texts[row] = ''
+    return texts
 
 
-def _write_rows(
-    path: Path,
+def _table_lines(
     columns: Sequence[str],
     images: Iterable[AnyImage],
-    rows_of: Callable[[AnyImage], Iterable[list[str]]],
-) -> None:
-    """Write one row per box, and one row with only the name for an image without boxes."""
-    lines = [_join_row(columns)]
+    columns_of: Callable[[AnyImage], list[Sequence[str]]],
+) -> Iterator[str]:
+    """Return one row per box, and one row with only the name for an image without boxes."""
+    yield _join_rows([[name] for name in columns])
     for image in images:
         if not image.image:
             raise ValueError(f'a table cannot hold an image without a name (from {image.source})')
-        rows = rows_of(image) if image.class_ids else [[image.image]]
-        padding = [''] * len(columns)
-        lines += [_join_row((row + padding)[: len(columns)]) for row in rows]
-    text.write_lines(path, lines)
+        count = max(len(image.class_ids), 1)
+        texts: list[Sequence[str]] = [[image.image] * count]
+        texts += columns_of(image) if image.class_ids else []
+        texts += [[''] * count] * len(columns)
+        yield _join_rows(texts[: len(columns)])
+
+
+def _join_rows(columns: Sequence[Sequence[str]]) -> str:
+    """Join columns of N fields to N lines; ValueError if a row would not be one line."""
+    lines = list(map(','.join, zip(*columns, strict=True)))
+    joined = '\n'.join(lines)
+    commas, breaks = (len(columns) - 1) * len(lines), len(lines) - 1
+    if joined.count(',') == commas and joined.count('\n') == breaks and not QUOTED.search(joined):
+        return joined
+    return '\n'.join(map(_join_row, zip(*columns, strict=True)))
 
 
 def _join_row(fields: Sequence[str]) -> str:

@@ -134,6 +134,44 @@ class LabelFile:
             else:
                 yield line, place, item
 
+    def parse_blocks(
+        self,
+        blocks: Iterable[tuple[Sequence[int], Sequence[Any]]],
+        parse: Callable[[Sequence[Any]], Item],
+        place: Callable[[int], tuple[int | None, str]] = lambda line: (line, ''),
+    ) -> Iterator[Item]:
+        """
+        Parse records block by block; report and skip those for which `parse` raises ValueError.
+
+        A block with such a record is halved until it is alone, so that the rules are those of
+        `parse` alone, and errors are the same as if the records were parsed one by one.
+
+        Parameters
+        ----------
+        blocks : iterable of pairs
+            The numbers of N records, and the records.
+        parse : callable
+            Turns N records into an item.
+        place : callable, optional
+            The line of a number, where there is one, and the start of an error message; by default
+            numbers are lines.
+        """
+        for numbers, records in blocks:
+            waiting = [(0, len(records))] if records else []
+            while waiting:
+                start, stop = waiting.pop()
+                try:
+                    item = parse(records[start:stop])
+                except ValueError as error:
+                    if stop - start == 1:
+                        line, before = place(numbers[start])
+                        self.on_error(LabelError(self.path, line, f'{before}{error}'))
+                    else:
+                        middle = (start + stop) // 2
+                        waiting += [(middle, stop), (start, middle)]
+                else:
+                    yield item
+
     def image(
         self,
         name: str,

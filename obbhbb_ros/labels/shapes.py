@@ -60,6 +60,13 @@ def upright_corners(xyxy: Sequence[float]) -> Corners:
     return (x_min, y_min, x_max, y_min, x_max, y_max, x_min, y_max)
 
 
+def upright_rows(xyxy: FloatArray) -> FloatArray:
+    """Do what `upright_corners` does for N boxes, (N, 4) to (N, 4, 2)."""
+    for row in xyxy[(xyxy[:, 2:] < xyxy[:, :2]).any(axis=1)].tolist():
+        upright_corners(row)
+    return xyxy[:, [0, 1, 2, 1, 2, 3, 0, 3]].reshape(-1, 4, 2)
+
+
 def bounds_of_xywh(x: float, y: float, width: float, height: float) -> list[float]:
     """Turn corner and size into x_min, y_min, x_max, y_max; raise ValueError if a size is < 0."""
     _check_size(width, height)

@@ -9,32 +9,79 @@ import math
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
+from collections.abc import Sequence
+from contextlib import suppress
+from itertools import chain
 from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
 
 from obbhbb_ros.files import write_pieces
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_file import OnError
 from obbhbb_ros.labels.label_file import Record
 
+# Lines are parsed this much at a time: a core's cache holds what comes of it.
+BLOCK_BYTES = 1 << 18
 
-def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
-    """
-    Read the lines of a UTF-8 file, with or without BOM, ended by LF, CRLF or CR.
+Block: TypeAlias = tuple[Sequence[int], Sequence[str]]
+"""Line numbers, counted from 1, and the lines without their ends."""
 
-    Yields line numbers, counted from 1, and lines without their ends. A line that is not UTF-8 is
-    left out, and `on_error` gets a LabelError for it.
+
+def line_blocks(path: Path, on_error: OnError) -> Iterator[Block]:
     """
-    data = path.read_bytes().removeprefix(codecs.BOM_UTF8)
-    for number, raw in enumerate(data.splitlines(), start=1):
+    Read the lines of a UTF-8 file, with or without BOM, ended by LF, CRLF or CR, block by block.
+
+    A line that is not UTF-8 is left out, and `on_error` gets a LabelError for it.
+    """
+    first = 1
+    with path.open('rb') as stream:
+        while data := stream.read(BLOCK_BYTES) + stream.readline():
+            lines = (data if first > 1 else data.removeprefix(codecs.BOM_UTF8)).splitlines()
+            try:
+                yield range(first, first + len(lines)), list(map(bytes.decode, lines))
+            except UnicodeDecodeError:
+                yield from _decodable(path, first, lines, on_error)
+            first += len(lines)
+
+
+def _decodable(
+    path: Path, first: int, lines: Sequence[bytes], on_error: OnError
+) -> Iterator[Block]:
+    """Decode lines one by one; a new block begins after a line that is not UTF-8."""
+    decoded: list[str] = []
+    for number, raw in enumerate(lines, first):
         try:
-            line = raw.decode()
+            decoded.append(raw.decode())
         except UnicodeDecodeError as error:
+            yield range(number - len(decoded), number), decoded
+            decoded = []
             bad = f'byte 0x{raw[error.start]:02x} at position {error.start + 1}'
             on_error(LabelError(path, number, f'not UTF-8 text: {bad}'))
+    yield range(first + len(lines) - len(decoded), first + len(lines)), decoded
+
+
+def text_lines(path: Path, on_error: OnError) -> Iterator[tuple[int, str]]:
+    """Read the numbers and lines of a file one by one, see `line_blocks`."""
+    for numbers, lines in line_blocks(path, on_error):
+        yield from zip(numbers, lines, strict=True)
+
+
+def filled_blocks(file: LabelFile) -> Iterator[Block]:
+    """Read the lines that are not blank in blocks of at least one, see `line_blocks`."""
+    for numbers, lines in line_blocks(file.path, file.on_error):
+        if all(map(str.strip, lines)):
+            filled = numbers, lines
         else:
-            yield number, line
+            pairs = zip(numbers, lines, strict=True)
+            kept = [(number, line) for number, line in pairs if line.strip()]
+            filled = [number for number, _ in kept], [line for _, line in kept]
+        if filled[0]:
+            yield filled
 
 
 def read_boxes(file: LabelFile, parse: Callable[[str], Box | None]) -> list[Box]:
@@ -69,9 +116,39 @@ def split_row(line: str, separator: str = ',') -> list[str]:
         csv.field_size_limit(limit)
 
 
+def split_rows(lines: Sequence[str]) -> list[list[str]]:
+    """Split N lines of a table into fields, see `split_row`."""
+    if '"' not in ''.join(lines):
+        return [line.split(',') for line in lines]
+    return list(map(split_row, lines))
+
+
 def parse_numbers(fields: Iterable[str]) -> list[float]:
     """Turn fields into finite numbers, see `parse_number`."""
     return [parse_number(field) for field in fields]
+
+
+def parse_columns(columns: Sequence[Sequence[str]]) -> FloatArray:
+    """Turn K columns of N fields into finite numbers, (N, K), see `parse_number`."""
+    fields = list(chain.from_iterable(columns))
+    try:
+        values = np.fromiter(map(float, fields), np.float64, len(fields))
+        plain = '_' not in ''.join(fields)
+    except ValueError:
+        plain = False
+    if not (plain and np.isfinite(values).all()):
+        values = np.array(parse_numbers(fields))
+    return values.reshape(len(columns), -1).T
+
+
+def parse_scores(fields: Sequence[str]) -> FloatArray:
+    """Turn the fields of N scores into finite numbers, (N,), see `parse_score`."""
+    if not any(fields):
+        return np.ones(len(fields))
+    if all(fields):
+        with suppress(ValueError):
+            return parse_columns((fields,))[:, 0]
+    return np.array(list(map(parse_score, fields)), np.float64)
 
 
 def parse_number(field: str) -> float:

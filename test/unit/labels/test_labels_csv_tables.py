@@ -224,6 +224,11 @@ BOXES = st.builds(
     score=st.just(1.0) | NUMBERS,
     reference=st.just(NO_REFERENCE) | st.tuples(*[NUMBERS] * 4),
     hull=st.none() | POINTS.map(lambda points: np.array(points, dtype=np.float64)),
+    # Hypothesis takes all fields of a named tuple for required ones.
+    bow=st.just(False),
+    crowd=st.just(False),
+    difficulty=st.just(0),
+    properties=st.just({}),
 )
 IMAGES = st.lists(
     st.builds(
@@ -243,3 +248,51 @@ def test_written_labels_are_read_back_to_the_bit(
     path = tmp_path_factory.mktemp('table') / 'all.csv'
     write_labels(path, images)
     assert_same(list(read_labels(path)), images)
+
+
+MALFORMED = (
+    'b.jpg,7,ship',
+    FULL.replace('50,20', '50,x'),
+    FULL.replace('50,20', '50,2_0'),
+    FULL.replace('50,20', '50,1e999'),
+    f'"{FULL}',
+    f',7,ship,{BOX},,,,,',
+)
+
+
+@given(
+    rows=st.lists(st.sampled_from(('', f'c.jpg{"," * 15}', BARE, FULL, *MALFORMED)), max_size=60)
+)
+def test_errors_are_those_of_each_row_alone(
+    rows: list[str], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp('table') / 'all.csv'
+    path.write_text(_table(HEADER, *rows))
+    errors: list[LabelError] = []
+    images = list(read_labels(path, on_error=errors.append))
+    lines = [number for number, row in enumerate(rows, start=2) if row in MALFORMED]
+    assert [error.line for error in errors] == lines
+    for error in errors:
+        path.write_text(_table(HEADER, rows[(error.line or 0) - 2]))
+        with pytest.raises(LabelError) as alone:
+            list(read_labels(path))
+        assert alone.value.message == error.message
+    boxes = [row for row in rows if row in {BARE, FULL}]
+    assert [label for labels in images for label in labels.ids] == [
+        '7' if row == FULL else '' for row in boxes
+    ]
+
+
+@pytest.mark.parametrize('end', ['\n', '\r\n', '\r'])
+def test_a_long_table_keeps_its_rows_and_the_lines_of_its_errors(put: Put, end: str) -> None:
+    rows = [f'{row % 3}.jpg,{row},ship,{BOX},,,,,'.encode() for row in range(20_000)]
+    rows[7_000], rows[7_001], rows[19_999] = b'\xff', b'', rows[0].replace(b'50', b'x')
+    path = put('all.csv', '')
+    path.write_bytes(b'\xef\xbb\xbf' + end.encode().join([HEADER.encode(), *rows]))
+    errors: list[LabelError] = []
+    images = list(read_labels(path, on_error=errors.append))
+    expected = [list(range(first, 19_999, 3)) for first in range(3)]
+    for skipped in (7_000, 7_001):
+        expected[skipped % 3].remove(skipped)
+    assert [list(map(int, labels.ids)) for labels in images] == expected
+    assert [error.line for error in errors] == [7_002, 20_001]
