@@ -17,6 +17,7 @@ import numpy as np
 
 from obbhbb_ros.geometry.boxes import Defect
 from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.geometry.boxes import crossed
 from obbhbb_ros.geometry.converter import NO_CAPS
 from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
@@ -54,6 +55,8 @@ class LabelTally:
         Records that could not be read.
     bows : int or None
         Boxes whose bow is known; None if no bow was asked for.
+    reordered : int
+        Boxes whose corners were not in order around them.
     losses : str
         What the labels say and the format that is written cannot hold; '' for nothing.
     """
@@ -63,6 +66,7 @@ class LabelTally:
     left_out: Mapping[str, int]
     malformed: int
     bows: int | None = None
+    reordered: int = 0
     losses: str = ''
 
     @property
@@ -83,6 +87,7 @@ class LabelTally:
             f'{self.images} images, {self.boxes} boxes converted{bows}, '
             f'{sum(self.left_out.values())} left out{f" ({reasons})" if reasons else ""}, '
             f'{self.malformed} malformed records skipped'
+            f'{f", {self.reordered} with crossed corners put in order" if self.reordered else ""}'
             f'{f"{chr(10)}not held by {self.losses}" if self.losses else ""}'
         )
 
@@ -99,11 +104,14 @@ class ConvertedImage(NamedTuple):
         The reason for each row that could not.
     bows : int
         Boxes whose bow is known.
+    reordered : int
+        Boxes whose corners were not in order around them.
     """
 
     boxes: ImageBoxes
     left_out: Mapping[int, str]
     bows: int
+    reordered: int
 
 
 def convert_image(
@@ -137,7 +145,8 @@ def convert_image(
     )
     left_out = {row: _reason(boxes, row) for row in np.flatnonzero(~finite).tolist()}
     bows = int(np.count_nonzero(boxes.bow))
-    return ConvertedImage(converted, left_out, bows)
+    reordered = int(np.count_nonzero(crossed(labels.corners)))
+    return ConvertedImage(converted, left_out, bows, reordered)
 
 
 def _reason(boxes: OrientedBoxes, row: int) -> str:
@@ -158,16 +167,17 @@ def convert_labels(
     """
     done: list[ImageBoxes] = []
     reasons: Counter[str] = Counter()
-    bows = 0
+    bows = reordered = 0
     for labels in images:
         converted = convert(labels)
         done.append(converted.boxes)
         bows += converted.bows
+        reordered += converted.reordered
         reasons.update(converted.left_out.values())
         for row, reason in converted.left_out.items():
             report(f'{labels.source}: image {labels.image!r}: box {row + 1} left out: {reason}')
     boxes = sum(len(image.class_ids) for image in done)
-    return done, LabelTally(len(done), boxes, dict(reasons), malformed=0, bows=bows)
+    return done, LabelTally(len(done), boxes, dict(reasons), 0, bows, reordered)
 
 
 def convert_file(

@@ -10,9 +10,9 @@ GeoJSON: a FeatureCollection of polygons, one ship per feature.
 
 All coordinates are read as pixels; their reference system is neither read nor written. Boxes are
 aligned with its axes, and both axes need the same unit: metres or pixels, not degrees. The oriented
-box is the minimum rotated rectangle of the polygon, or of all parts of a multi-polygon. Features
-that name no image belong to an image named after the file. Images without boxes have no feature: a
-file without features is read as one image without boxes.
+box is the minimum rotated rectangle of the polygon, or of all parts of a multi-polygon; four
+corners are a box. Features that name no image belong to an image named after the file. Images
+without boxes have no feature: a file without features is read as one image without boxes.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ class ImageLabels:
     image : str
         Image name without folder and suffix, or as the image column of a table has it.
     corners : FloatArray
-        Corners of N oriented boxes in order around each box, shape (N, 4, 2), pixels.
+        Corners of N oriented boxes, in any order, shape (N, 4, 2), pixels.
     class_ids : tuple of str
         N classes.
     ids : tuple of str

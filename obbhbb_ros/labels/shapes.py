@@ -213,8 +213,9 @@ def enclose(file: LabelFile, records: Iterable[Record[Outlined]]) -> dict[str, l
     Compute the minimum rotated rectangle of the rings of each record.
 
     Several rings are one partly hidden ship: its hull is the convex hull of them all. A ring of
-    four corners is a box, not a hull; if it is an upright rectangle, it is also the reference box,
-    unless the record has one. Records whose rings have no rectangle are reported and left out.
+    four corners is a box, not a hull, with these corners; if it is an upright rectangle, it is also
+    the reference box, unless the record has one. Records whose rings have no rectangle are reported
+    and left out.
 
     Parameters
     ----------
@@ -240,7 +241,6 @@ def _enclosed(file: LabelFile, block: Sequence[Record[Outlined]]) -> Iterator[tu
     drawn = [record for _, _, record in block if record.rings]
     with np.errstate(over='ignore', invalid='ignore'):
         boxes = OrientedBoxes.from_polygons(np.concatenate(record.rings) for record in drawn)
-    complete = _with_hulls([drawn[row] for row in np.flatnonzero(boxes.valid)])
     results = zip(boxes.defects.tolist(), boxes.corners.reshape(-1, 8).tolist(), strict=True)
     for line, place, record in block:
         if not record.rings:
@@ -248,37 +248,38 @@ def _enclosed(file: LabelFile, block: Sequence[Record[Outlined]]) -> Iterator[tu
             continue
         defect, corners = next(results)
         if defect == Defect.NONE:
-            yield record.image, next(complete)._replace(corners=corners)
+            yield record.image, _outlined_box(record, corners)
         else:
             message = f'{place}{PROBLEMS[Defect(defect)]}'
             file.on_error(LabelError(file.path, line, message))
 
 
-def _with_hulls(records: Sequence[Outlined]) -> Iterator[Box]:
-    """Add hull or reference box to the boxes of records whose rings have an area."""
-    if not records:
-        return
-    outlines = _outlines([record.rings for record in records])
-    envelopes = shapely.normalize(shapely.envelope(outlines))
-    upright = shapely.equals_exact(shapely.normalize(outlines), envelopes)
-    for record, outline, is_upright in zip(records, outlines, upright.tolist(), strict=True):
-        box = record.box
-        ring = shapely.get_coordinates(outline)[:-1]
-        if len(record.rings) > 1 or len(ring) != BOX_CORNERS:
-            box = box._replace(hull=ring)
-        elif is_upright and box.reference is NO_REFERENCE:
-            box = box._replace(reference=outline.bounds)
-        yield box
+def _outlined_box(record: Outlined, corners: Sequence[float]) -> Box:
+    """Complete the box of a record whose rings have these corners of their rectangle."""
+    box, hull = record.box, _hull(record.rings)
+    if len(record.rings) > 1 or len(hull) != BOX_CORNERS:
+        return box._replace(corners=corners, hull=hull)
+    # As they are drawn: what box they mean is said in one place for all formats, and so the first
+    # edge is that of the file.
+    box = box._replace(corners=hull.ravel().tolist())
+    if box.reference is NO_REFERENCE and _is_upright(hull):
+        box = box._replace(reference=(*hull.min(axis=0).tolist(), *hull.max(axis=0).tolist()))
+    return box
 
 
-def _outlines(ships: Sequence[Sequence[FloatArray]]) -> Any:
-    """Turn the rings of each ship into a polygon: one ring as it is, several as a convex hull."""
-    points = [np.concatenate(rings) for rings in ships]
-    owner = np.repeat(np.arange(len(points)), [len(ring) for ring in points])
-    outlines = shapely.polygons(shapely.linearrings(np.concatenate(points), indices=owner))
-    several = np.array([len(rings) > 1 for rings in ships])
-    outlines[several] = shapely.convex_hull(outlines[several])
-    return outlines
+def _hull(rings: Sequence[FloatArray]) -> FloatArray:
+    """Return a ring without its closing point, or the convex hull of several."""
+    ring = rings[0]
+    if len(rings) > 1:
+        hull = shapely.convex_hull(shapely.multipoints(np.concatenate(rings)))
+        ring = shapely.get_coordinates(hull)
+    return ring[:-1] if ring[0].tolist() == ring[-1].tolist() else ring
+
+
+def _is_upright(corners: FloatArray) -> bool:
+    """Tell whether four corners are those of an upright rectangle, in any order."""
+    x, y = corners.T.tolist()
+    return len(set(zip(x, y, strict=True))) == BOX_CORNERS and len(set(x)) == len(set(y)) == 2
 
 
 def box_features(images: Sequence[ImageBoxes]) -> tuple[list[dict[str, Any]], FloatArray]:
