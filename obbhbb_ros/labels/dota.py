@@ -16,6 +16,7 @@ The format has no ids, scores, hulls or reference boxes: these are not written.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from obbhbb_ros.labels import text
@@ -25,14 +26,28 @@ from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
+from obbhbb_ros.labels.yolo_lines import skew
 
 HEADER = re.compile(r'\W*(imagesource|gsd|acquisition dates)\W*:', re.IGNORECASE)
 FIELDS = 'x1 y1 x2 y2 x3 y3 x4 y4 category [difficulty]'
 COUNTS = (9, 10)
+# How far the edges of a box may be from parallel where its category is a number, as `skew` says.
+MAX_SKEW = 0.5
+# Orders of the last three corners that differ by more than the direction.
+ORDERS = ((2, 3, 4, 5, 6, 7), (2, 3, 6, 7, 4, 5), (4, 5, 2, 3, 6, 7))
 
 
 def _read(file: LabelFile) -> list[ImageLabels]:
-    return [file.image(file.path.stem, text.read_boxes(file, _parse))]
+    boxes = text.read_boxes(file, _parse)
+    if _are_fractions(boxes):
+        raise file.error('the coordinates are fractions of the image, those of DOTA are pixels')
+    return [file.image(file.path.stem, boxes)]
+
+
+def _are_fractions(boxes: Sequence[Box]) -> bool:
+    return all(0.0 <= value <= 1.0 for box in boxes for value in box.corners) and any(
+        0.0 < value < 1.0 for box in boxes for value in box.corners
+    )
 
 
 def _parse(line: str) -> Box | None:
@@ -42,8 +57,23 @@ def _parse(line: str) -> Box | None:
     if len(fields) not in COUNTS:
         raise ValueError(f'{len(fields)} fields, expected 9 or 10: {FIELDS}')
     corners = text.parse_numbers(fields[:8])
+    if text.is_number(fields[8]):
+        _check_number(corners, fields[8])
     difficulty = parse_difficulty(fields[9] if len(fields) > COUNTS[0] else '')
     return Box(corners, fields[8], difficulty=difficulty)
+
+
+def _check_number(corners: list[float], category: str) -> None:
+    """Raise ValueError unless a line of numbers is a box with a number as its category."""
+    if not text.is_index(category):
+        raise ValueError(f'category {category!r} is a number: the line is of another format')
+    if text.is_normalised(corners):
+        raise ValueError('fractions of the image and no name of a category: is it yolo_obb?')
+    gap = min(skew([*corners[:2], *(corners[i] for i in order)]) for order in ORDERS)
+    if not gap <= MAX_SKEW:
+        raise ValueError('the first eight of these numbers are not the corners of a box')
+    if skew([*corners[1:], float(category)]) <= gap:
+        raise ValueError('a number, then corners: YOLO-OBB in pixels? They would be dota, too')
 
 
 def _split(line: str) -> list[str]:
@@ -73,9 +103,10 @@ def _sniff(head: str) -> bool:
 def _looks_like_box(fields: list[str]) -> bool:
     if len(fields) not in COUNTS or not all(map(text.is_number, fields[:8])):
         return False
-    # With a number as category the line could be YOLO-OBB; but there the coordinates are
-    # fractions of the image, and here they are pixels.
-    return not text.is_number(fields[8]) or not text.is_normalised(map(float, fields[1:8]))
+    try:
+        return _parse(' '.join(fields)) is not None
+    except ValueError:
+        return False
 
 
 FORMAT = Format(

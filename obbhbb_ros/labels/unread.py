@@ -10,11 +10,17 @@ from dataclasses import dataclass
 from functools import partial
 
 from obbhbb_ros.labels.documents import json_paths
+from obbhbb_ros.labels.text import is_index
+from obbhbb_ros.labels.text import is_normalised
 from obbhbb_ros.labels.text import is_number
+from obbhbb_ros.labels.yolo_lines import SKEW
+from obbhbb_ros.labels.yolo_lines import skew
 
 MOT_FIELDS = (9, 10)
 KITTI_FIELDS = (15, 16)
 UCAS_AOD_FIELDS = 13
+YOLO_FIELDS = (9, 10, 11)
+THREE_POINT_FIELDS = (7, 8)
 # The last lines of the head may be cut off.
 LINES = 5
 
@@ -86,7 +92,27 @@ def _is_kitti(line: str) -> bool:
 
 def _is_ucas_aod(line: str) -> bool:
     fields = line.split()
-    return len(fields) == UCAS_AOD_FIELDS and _are_numbers(fields)
+    return (
+        len(fields) == UCAS_AOD_FIELDS
+        and _are_numbers(fields)
+        and not is_normalised(map(float, fields[1:]))
+    )
+
+
+def _is_yolo_in_pixels(line: str) -> bool:
+    fields = line.replace(',', ' ').split()
+    if len(fields) not in YOLO_FIELDS or not _are_numbers(fields) or not is_index(fields[0]):
+        return False
+    numbers = list(map(float, fields[:9]))
+    return not is_normalised(numbers[1:]) and skew(numbers[1:]) <= SKEW < skew(numbers[:8])
+
+
+def _is_three_points(line: str) -> bool:
+    fields = line.split()
+    if len(fields) not in THREE_POINT_FIELDS or not _are_numbers(fields):
+        return False
+    tracked = len(fields) == THREE_POINT_FIELDS[0] and is_index(fields[-1])
+    return is_index(fields[0]) and is_normalised(map(float, fields[1:7])) and not tracked
 
 
 def _are_numbers(fields: Iterable[str]) -> bool:
@@ -111,5 +137,7 @@ UNREAD = (
     ),
     _text('MOT ground truth', _is_mot, 'it has upright boxes and tracks: write them as CSV'),
     _text('KITTI text', _is_kitti, 'it has upright boxes: write them as YOLO'),
+    _text('YOLO-OBB in pixels', _is_yolo_in_pixels, 'divide the corners by the size of the image'),
+    _text('YOLO of three points, or of a box and a key point', _is_three_points, OWN_CODE),
     _text('UCAS-AOD text', _is_ucas_aod, OWN_CODE),
 )

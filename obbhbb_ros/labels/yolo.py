@@ -8,8 +8,10 @@ the corners of an oriented box::
     0 0.512 0.734 0.322 0.481
     0 0.780811 0.743961 0.782371 0.74686 0.777691 0.752174 0.776131 0.749758
 
-Predictions end with a confidence; those of a tracker, with a confidence and a track id. A file
-``classes.txt`` in the folder, one name per line, gives the names of the class indices.
+Predictions end with a confidence, those of a tracker with a track id or with both, see
+`yolo_lines`. More than four points are a hull, as segmentation labels have it; a first point that
+is repeated at the end is ignored. The nearest ``classes.txt``, ``obj.names`` or ``data.yaml`` gives
+the names of the class indices, see `class_names`.
 
 The caller passes the width and height of an image with boxes, or they are read from its image file.
 Confidences are written if a score is not 1. Classes that are all indices are written unchanged;
@@ -24,14 +26,17 @@ from collections.abc import Iterable
 from collections.abc import Mapping
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
+from itertools import cycle
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels import text
+from obbhbb_ros.labels.class_names import find_class_names
+from obbhbb_ros.labels.class_names import listed_names
 from obbhbb_ros.labels.folders import CLASSES_FILE
 from obbhbb_ros.labels.folders import target_files
 from obbhbb_ros.labels.image_files import stored_size
@@ -40,67 +45,69 @@ from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.image_labels import ImageSize
 from obbhbb_ros.labels.label_file import Box
-from obbhbb_ros.labels.label_file import FileError
 from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile
-from obbhbb_ros.labels.label_file import raise_error
 from obbhbb_ros.labels.label_format import Format
+from obbhbb_ros.labels.yolo_lines import CORNERS_COUNT
+from obbhbb_ros.labels.yolo_lines import POLYGON_FIELDS
+from obbhbb_ros.labels.yolo_lines import UPRIGHT_FIELDS
+from obbhbb_ros.labels.yolo_lines import Ends
+from obbhbb_ros.labels.yolo_lines import Fields
+from obbhbb_ros.labels.yolo_lines import YoloLine
+from obbhbb_ros.labels.yolo_lines import parse_polygon
+from obbhbb_ros.labels.yolo_lines import parse_upright
+from obbhbb_ros.labels.yolo_lines import polygon_ends
+from obbhbb_ros.labels.yolo_lines import split_lines
+from obbhbb_ros.labels.yolo_lines import upright_ends
 
-UPRIGHT_FIELDS = 'class x_center y_center width height [confidence [track]]'
-CORNER_FIELDS = 'class x1 y1 x2 y2 x3 y3 x4 y4 [confidence [track]]'
-
-# Turns a line and the class names into a box, in fractions of the image.
-Parse = Callable[[str, Sequence[str]], Box]
-
-
-def _parse(line: str, names: Sequence[str], count: int, expected: str) -> Box:
-    """Parse a line; the `count` coordinates are returned as corners."""
-    fields = line.split()
-    if not count < len(fields) <= count + 3:
-        raise ValueError(f'{len(fields)} fields, expected {count + 1} to {count + 3}: {expected}')
-    coordinates = text.parse_numbers(fields[1 : count + 1])
-    if not text.is_normalised(coordinates):
-        raise ValueError('the box is not normalised to 0..1')
-    confidence, track = (*fields[count + 1 :], '', '')[:2]
-    score = text.parse_score(confidence)
-    if not 0.0 <= score <= 1.0:
-        raise ValueError(f'confidence {confidence} is not within 0..1')
-    return Box(coordinates, _parse_class(fields[0], names), track, score)
+ONE_IMAGE = ''
 
 
-def _parse_corners(line: str, names: Sequence[str]) -> Box:
-    return _parse(line, names, 8, CORNER_FIELDS)
+class Layout(NamedTuple):
+    """How to read the lines of a format: what follows the box, a line, and its box in pixels."""
+
+    ends: Callable[[Sequence[Fields]], Ends]
+    parse: Callable[[str, Ends], YoloLine]
+    place: Callable[[Box, list[float], ImageSize], shapes.Outlined]
 
 
-def _parse_upright(line: str, names: Sequence[str]) -> Box:
-    box = _parse(line, names, 4, UPRIGHT_FIELDS)
-    x, y, width, height = box.corners
+def _place_upright(box: Box, coordinates: list[float], size: ImageSize) -> shapes.Outlined:
+    x, y, width, height = _scaled(coordinates, size)
     reference = shapes.bounds_of_xywh(x - width / 2, y - height / 2, width, height)
-    return box._replace(corners=shapes.upright_corners(reference), reference=reference)
+    corners = shapes.upright_corners(reference)
+    return shapes.Outlined(ONE_IMAGE, box._replace(corners=corners, reference=reference))
 
 
-def _parse_class(field: str, names: Sequence[str]) -> str:
-    if not text.is_index(field):
-        raise ValueError(f'class index {field!r} is not a whole number')
-    index = int(field)
-    if not names:
-        return str(index)
-    if index >= len(names) or not names[index]:
-        raise ValueError(f'class {index} has no name in {CLASSES_FILE}')
-    return names[index]
+def _place_polygon(box: Box, coordinates: list[float], size: ImageSize) -> shapes.Outlined:
+    points = _scaled(coordinates, size)
+    if len(points) == CORNERS_COUNT:
+        return shapes.Outlined(ONE_IMAGE, box._replace(corners=points))
+    return shapes.Outlined(ONE_IMAGE, box, [np.array(points).reshape(-1, 2)])
 
 
-def _read(parse: Parse, file: LabelFile) -> list[ImageLabels]:
+def _scaled(coordinates: list[float], size: ImageSize) -> list[float]:
+    return [value * side for value, side in zip(coordinates, cycle(size))]
+
+
+def _read(layout: Layout, file: LabelFile) -> list[ImageLabels]:
+    names = find_class_names(file.path.parent)
+    lines = list(text.filled_lines(file))
     try:
-        names = _class_names(file.path.parent)
-    except LabelError as error:
-        raise FileError(*error.args) from None
-    boxes = text.read_boxes(file, lambda line: parse(line, names))
-    size = file.image_size or _stored_size(file, needed=bool(boxes))
-    labels = file.image(file.path.stem, boxes, size)
-    scale = np.array(size or (1, 1), dtype=np.float64)
-    corners, reference = labels.corners * scale, labels.reference * np.tile(scale, 2)
-    return [replace(labels, corners=corners, reference=reference)]
+        ends = layout.ends(split_lines([line for _, _, line in lines]))
+    except ValueError as error:
+        raise file.error(str(error)) from None
+    size = file.image_size or _stored_size(file, needed=False)
+
+    def parse(line: str) -> shapes.Outlined:
+        parsed = layout.parse(line, ends)
+        score = text.parse_score(parsed.confidence)
+        box = Box((), names.name(parsed.class_index), parsed.track, score)
+        return layout.place(box, parsed.coordinates, size or (1, 1))
+
+    boxes = shapes.enclose(file, file.parse_records(lines, parse)).get(ONE_IMAGE, [])
+    if boxes and size is None:
+        _stored_size(file, needed=True)
+    return [file.image(file.path.stem, boxes, size)]
 
 
 def _stored_size(file: LabelFile, needed: bool) -> ImageSize | None:
@@ -110,14 +117,6 @@ def _stored_size(file: LabelFile, needed: bool) -> ImageSize | None:
         if not needed:
             return None
         raise file.error(f'{error.message}: pass image_size=(width, height)') from None
-
-
-def _class_names(folder: Path) -> list[str]:
-    """Read the names in ``classes.txt``, '' for a blank line; none if there is no such file."""
-    path = folder / CLASSES_FILE
-    if not path.is_file():
-        return []
-    return [line.strip() for _, line in text.text_lines(path, raise_error)]
 
 
 def _write(path: Path, images: list[AnyImage]) -> None:
@@ -141,8 +140,9 @@ def _numbered_names(folder: Path, used: Iterable[str]) -> list[str]:
     for name in distinct:
         if not name or name != name.strip() or name.splitlines() != [name]:
             raise ValueError(f'class {name!r} cannot be a line of {CLASSES_FILE}')
-    listed = _class_names(folder)
-    return listed + [name for name in distinct if name not in listed]
+    path = folder / CLASSES_FILE
+    listed = listed_names(path) if path.is_file() else ()
+    return [*listed, *(name for name in distinct if name not in listed)]
 
 
 def _lines(image: ImageLabels | ImageBoxes, numbers: Mapping[str, str]) -> list[str]:
@@ -164,30 +164,38 @@ def _lines(image: ImageLabels | ImageBoxes, numbers: Mapping[str, str]) -> list[
     return [f'{numbers.get(name, name)} {text.join_numbers(row)}' for name, row in pairs]
 
 
-def _fits(parse: Parse, head: str) -> bool:
-    for line in head.splitlines():
+def _fits(layout: Layout, head: str) -> bool:
+    lines = head.splitlines()
+    try:
+        ends = layout.ends(split_lines(lines))
+    except ValueError:
+        # The reader says why.
+        return True
+    for line in lines:
         with suppress(ValueError):
-            parse(line, ())
+            layout.parse(line, ends)
             return True
     return False
 
 
+UPRIGHT_LAYOUT = Layout(upright_ends, parse_upright, _place_upright)
+POLYGON_LAYOUT = Layout(polygon_ends, parse_polygon, _place_polygon)
 UPRIGHT = Format(
     name='yolo',
     suffixes=('.txt',),
     summary=(
         f'Ultralytics YOLO, axis-aligned, one file per image: {UPRIGHT_FIELDS}, normalised to 0..1'
     ),
-    sniff=partial(_fits, _parse_upright),
-    read=partial(_read, _parse_upright),
+    sniff=partial(_fits, UPRIGHT_LAYOUT),
+    read=partial(_read, UPRIGHT_LAYOUT),
     write_boxes=_write,
     holds=('scores', 'images without boxes'),
 )
 ORIENTED = Format(
     name='yolo_obb',
     suffixes=('.txt',),
-    summary=f'Ultralytics YOLO-OBB, one file per image: {CORNER_FIELDS}, normalised to 0..1',
-    sniff=partial(_fits, _parse_corners),
-    read=partial(_read, _parse_corners),
+    summary=f'Ultralytics YOLO-OBB, one file per image: {POLYGON_FIELDS}, normalised to 0..1',
+    sniff=partial(_fits, POLYGON_LAYOUT),
+    read=partial(_read, POLYGON_LAYOUT),
     write=_write,
 )

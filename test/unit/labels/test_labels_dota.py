@@ -17,6 +17,7 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.text import is_number
 
 if TYPE_CHECKING:
     from conftest import Make
@@ -97,6 +98,44 @@ def test_a_malformed_line_is_an_error_that_says_why(put: Put, line: str, message
     assert message in caught.value.message
 
 
+@pytest.mark.parametrize(
+    ('line', 'message'),
+    [
+        ('0 0.78 0.74 0.79 0.75 0.77 0.76 0.76 0.75', "category '0.75' is a number"),
+        ('0 0.78 0.74 0.79 0.75 0.77 0.76 0.76 1', 'is it yolo_obb'),
+        ('0 0.78 0.74 0.79 0.75 0.77 0.76 0.76 1 0.9', 'is it yolo_obb'),
+        ('1 1 100 200 50 30 1 1 1', 'not the corners of a box'),
+        ('0 303 233 477 333 497 367 323 267', 'not the corners of a box'),
+        ('10 20 50 20 50 30 10 30 -1 -1', "category '-1' is a number"),
+        ('1e308 1e308 -1e308 1e308 -1e308 1e308 -1e308 1e308 1', 'not the corners of a box'),
+        ('4 10 4 50 20 50 20 10 4', 'YOLO-OBB in pixels? They would be dota, too'),
+    ],
+)
+def test_nine_numbers_are_read_only_if_they_are_a_box_and_its_category(
+    put: Put, line: str, message: str
+) -> None:
+    path = put('P0706.txt', f'{BOX}{line}\n')
+    with pytest.raises(LabelError, match=r'P0706\.txt:2: ') as caught:
+        list(read_labels(path, 'dota'))
+    assert message in caught.value.message
+
+
+@pytest.mark.parametrize(
+    'corners',
+    ['10 20 50 20 50 30 10 30', '10 20 50 20 10 30 50 30', '0 0 40 1 41 9 1 12', '7 7 7 7 7 7 7 7'],
+    ids=['around', 'crossed', 'hand-drawn', 'empty'],
+)
+def test_a_category_may_be_a_number(put: Put, corners: str) -> None:
+    (labels,) = read_labels(put('P0706.txt', f'{corners} 3 0\n'))
+    assert labels.class_ids == ('3',)
+
+
+def test_fractions_of_the_image_are_refused(put: Put) -> None:
+    path = put('P0706.txt', '0.1 0.2 0.5 0.2 0.5 0.3 0.1 0.3 ship 0\n' * 2)
+    with pytest.raises(LabelError, match='the coordinates are fractions of the image'):
+        list(read_labels(path))
+
+
 def test_a_file_is_written_without_header_lines(make: Make, tmp_path: Path) -> None:
     write_labels(tmp_path, [make('P0706')], 'dota')
     text = (tmp_path / 'P0706.txt').read_text()
@@ -115,8 +154,9 @@ def test_a_class_that_is_not_exactly_one_field_cannot_be_written(
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 CATEGORIES = st.text(st.characters(exclude_categories=('Cs', 'Z', 'Cc'), exclude_characters=','),
-                     min_size=1)  # fmt: skip
-BOXES = st.tuples(st.tuples(*[NUMBERS] * 8), CATEGORIES).map(lambda fields: Box(*fields))
+                     min_size=1).filter(lambda name: not is_number(name))  # fmt: skip
+CORNERS = st.tuples(*[NUMBERS] * 8).filter(lambda corners: max(map(abs, corners)) > 1)
+BOXES = st.tuples(CORNERS, CATEGORIES).map(lambda fields: Box(*fields))
 IMAGES = st.lists(
     st.builds(
         LabelFile(Path('made.by')).image,

@@ -41,7 +41,7 @@ def test_the_registry_has_every_format_under_its_own_name() -> None:
         ('a.txt', 'gsd:null\n', 'dota'),
         ('a.txt', '0.1 0.2 0.5 0.2 0.5 0.3 0.1 0.3 ship 0\n', 'dota'),
         ('a.txt', DOTA.replace('ship', '3'), 'dota'),
-        ('a.txt', '0 3 0 1 1 1 1 1 5 0\n', 'dota'),
+        ('a.txt', '0 0 9 0 9 4 0 4 5 0\n', 'dota'),
         ('a.txt', '0 2 0 -1 1 1 1 1 2\n', 'yolo_obb'),
         ('a.txt', YOLO, 'yolo_obb'),
         ('a.txt', YOLO.replace('\n', ' 0.93\n'), 'yolo_obb'),

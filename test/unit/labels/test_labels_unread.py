@@ -60,6 +60,11 @@ UCAS = '\t'.join(map(str, [*POLY, 30.0, 300, 280, 200, 40]))
         ('det.txt', '1,-1,794,247,71,174,1,-1,-1,-1\n', 'MOT'),
         ('a.txt', 'ship 0.0 0 -1 300 280 500 320 -1 -1 -1 -1 -1 -1 -1 1.0\n', 'KITTI'),
         ('P0001.txt', f'{UCAS}\n', 'UCAS-AOD'),
+        ('a.txt', '0 303.4 232.7 476.6 332.7 496.6 367.3 323.4 267.3\n', 'YOLO-OBB in pixels'),
+        ('a.txt', '0 303 232 477 332 497 367 324 267 0.9\n', 'YOLO-OBB in pixels'),
+        ('a.txt', '14 303 232 477 332 497 367 324 267 0.9 3\n', 'YOLO-OBB in pixels'),
+        ('a.txt', '0 0.1 0.2 0.5 0.2 0.5 0.3\n', 'YOLO of three points, or of a box and a key'),
+        ('a.txt', '0 0.3 0.2 0.05 0.02 0.31 0.21 0.98\n', 'YOLO of three points'),
     ],
 )
 def test_an_unread_format_is_refused_by_its_name(
@@ -79,7 +84,7 @@ def test_an_unread_file_beside_label_files_is_not_in_the_way(put: Put, tmp_path:
     assert detect_format(tmp_path) == 'dota'
 
 
-@pytest.mark.parametrize('line', ['10,20,50,20,50,30,10,30,3\n', '0,3,0,1,1,1,1,1,5\n'])
+@pytest.mark.parametrize('line', ['10,20,50,20,50,30,10,30,3\n', '0,0,9,0,9,4,0,4,5\n'])
 def test_dota_with_commas_is_not_taken_for_mot(put: Put, line: str) -> None:
     assert detect_format(put('a.txt', line)) == 'dota'
 

@@ -67,3 +67,45 @@ def test_a_malformed_line_is_reported_with_its_number(put: Put, line: str, messa
     assert len(labels.class_ids) == 2
     assert [(error.path, error.line) for error in errors] == [(path, 2)]
     assert message in errors[0].message
+
+
+@pytest.mark.parametrize(
+    ('lines', 'scores', 'tracks'),
+    [
+        ([' 1', ' 2', ' 17'], [1, 1, 1], ('1', '2', '17')),
+        ([' 1'], [1], ('1',)),
+        ([' 0.9', ' 1', ' 0.8'], [0.9, 1, 0.8], ('', '', '')),
+        ([' 0', ' 0'], [0, 0], ('', '')),
+        ([' 0.9 1', ' 0.8 2'], [0.9, 0.8], ('1', '2')),
+    ],
+)
+def test_a_column_of_whole_numbers_is_that_of_track_ids(
+    put: Put, lines: list[str], scores: list[float], tracks: tuple[str, ...]
+) -> None:
+    path = put('a.txt', ''.join(f'0 0.5 0.5 0.2 0.2{end}\n' for end in lines))
+    (labels,) = read_labels(path, image_size=SIZE)
+    assert labels.scores.tolist() == scores
+    assert labels.ids == tracks
+
+
+@pytest.mark.parametrize(
+    ('lines', 'message'),
+    [
+        (['0.3', '-1.2'], 'rather an angle'),
+        (['0.3', '1.57'], 'rather an angle'),
+        (['30', '45.5'], 'rather an angle'),
+        (['30', '45', '30'], 'whole numbers that repeat'),
+    ],
+)
+def test_an_angle_after_the_size_is_not_taken_for_a_confidence(
+    put: Put, lines: list[str], message: str
+) -> None:
+    path = put('a.txt', ''.join(f'0 0.5 0.5 0.2 0.2 {angle}\n' for angle in lines))
+    with pytest.raises(LabelError, match=message):
+        list(read_labels(path, image_size=SIZE))
+
+
+def test_a_track_id_is_a_whole_number(put: Put) -> None:
+    path = put('a.txt', '0 0.5 0.5 0.2 0.2\n0 0.5 0.5 0.2 0.2 0.9 0.42\n')
+    with pytest.raises(LabelError, match=r':2: track id 0\.42 is not a whole number'):
+        list(read_labels(path, image_size=SIZE))

@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import image_files
 from obbhbb_ros.labels import read_labels
@@ -46,7 +49,13 @@ def test_the_documented_example_is_read_in_pixels(put: Put) -> None:
 
 @pytest.mark.parametrize(
     ('end', 'score', 'track'),
-    [('', 1.0, ''), (' 1', 1.0, ''), (' 0', 0.0, ''), (' 0.875 17', 0.875, '17')],
+    [
+        ('', 1.0, ''),
+        (' 1', 1.0, '1'),
+        (' 0', 0.0, ''),
+        (' 1.0', 1.0, ''),
+        (' 0.875 17', 0.875, '17'),
+    ],
 )
 def test_predictions_end_with_confidence_and_track(
     put: Put, end: str, score: float, track: str
@@ -65,7 +74,9 @@ def test_boxes_may_extend_beyond_the_image(put: Put) -> None:
 @pytest.mark.parametrize(
     ('line', 'message'),
     [
-        ('2 0.1 0.2 0.5 0.2 0.5 0.3 0.1', '8 fields, expected 9 to 11'),
+        ('2 0.1 0.2 0.5 0.2 0.5 0.3 0.1', '8 fields do not fit this file, where nothing follows'),
+        ('2 0.1 0.2 0.5 0.2 0.5 0.3', '7 fields'),
+        (f'{BOX} 0.5', '10 fields'),
         (f'{BOX} 0.5 17 1', '12 fields'),
         ('2 0.5 0.5 0.1 0.1', '5 fields'),
         (BOX.replace('0.125', 'x', 1), "'x' is not a number"),
@@ -76,10 +87,7 @@ def test_boxes_may_extend_beyond_the_image(put: Put) -> None:
         (f'ship{BOX[1:]}', "class index 'ship'"),
         (f'-1{BOX[1:]}', "class index '-1'"),
         (f'2.0{BOX[1:]}', "class index '2.0'"),
-        (f'{BOX} 1.001', 'confidence 1.001 is not within 0..1'),
-        (f'{BOX} -0.001', 'confidence -0.001 is not within 0..1'),
-        (f'{BOX} 17', 'confidence 17 is not within 0..1'),
-        (f'{BOX} x', "'x' is not a number"),
+        (f'{BOX[:-1]}x', "'0.x' is not a number"),
     ],
 )
 def test_a_malformed_line_is_an_error_that_says_why(put: Put, line: str, message: str) -> None:
@@ -88,6 +96,128 @@ def test_a_malformed_line_is_an_error_that_says_why(put: Put, line: str, message
         list(read_labels(path, 'yolo_obb', image_size=SIZE))
     assert (caught.value.path, caught.value.line) == (path, 2)
     assert message in caught.value.message
+
+
+@pytest.mark.parametrize(
+    ('end', 'message'),
+    [
+        (' 1.001', 'confidence 1.001 is not within 0..1'),
+        (' -0.001', 'confidence -0.001 is not within 0..1'),
+        (' 17', 'confidence 17 is not within 0..1'),
+        (' x', "'x' is not a number"),
+        ('', '9 fields do not fit this file, where confidence follows the points'),
+        (' 0.5 17', '11 fields'),
+    ],
+)
+def test_a_confidence_is_within_0_and_1(put: Put, end: str, message: str) -> None:
+    path = put('a.txt', f'{BOX} 0.5\n{BOX}{end}\n{BOX} 0.6\n{BOX} 0.7\n')
+    errors: list[LabelError] = []
+    (labels,) = read_labels(path, image_size=SIZE, on_error=errors.append)
+    assert labels.scores.tolist() == [0.5, 0.6, 0.7]
+    assert [error.line for error in errors] == [2]
+    assert message in errors[0].message
+
+
+# What `yolo track save_txt=True` writes: no confidence, unless save_conf is True.
+@pytest.mark.parametrize(
+    ('lines', 'scores', 'tracks'),
+    [
+        ([f'{BOX} 1', f'{BOX} 2', f'{BOX} 269'], [1, 1, 1], ('1', '2', '269')),
+        ([f'{BOX} 0.9 1', f'{BOX} 0.8 2'], [0.9, 0.8], ('1', '2')),
+        ([f'{BOX} 0.9 1'], [0.9], ('1',)),
+        ([f'{BOX} 0.9', f'{BOX} 1'], [0.9, 1], ('', '')),
+    ],
+)
+def test_a_column_of_whole_numbers_is_that_of_track_ids(
+    put: Put, lines: list[str], scores: list[float], tracks: tuple[str, ...]
+) -> None:
+    (labels,) = read_labels(put('a.txt', '\n'.join(lines)), image_size=SIZE)
+    assert labels.corners.tolist() == IN_PIXELS * len(lines)
+    assert labels.scores.tolist() == scores
+    assert labels.ids == tracks
+
+
+HULL = '0 0.1 0.25 0.2 0.2 0.6 0.2 0.6 0.3 0.2 0.3'
+
+
+@pytest.mark.parametrize(
+    ('lines', 'scores', 'tracks'),
+    [
+        ([HULL], [1], ('',)),
+        ([f'{HULL} 0.1 0.25'], [1], ('',)),
+        ([f'{HULL} 0.9', f'{BOX} 0.8'], [0.9, 0.8], ('', '')),
+        ([f'{HULL} 4', f'{BOX} 7'], [1, 1], ('4', '7')),
+        ([f'{HULL} 0.9 4', f'{BOX} 0.8 7'], [0.9, 0.8], ('4', '7')),
+        ([HULL, BOX, BOX], [1, 1, 1], ('', '', '')),
+    ],
+    ids=['bare', 'closed', 'confidence', 'track', 'both', 'beside boxes'],
+)
+def test_more_than_four_points_are_a_hull(
+    put: Put, lines: list[str], scores: list[float], tracks: tuple[str, ...]
+) -> None:
+    (labels,) = read_labels(put('a.txt', '\n'.join(lines)), image_size=(100, 100))
+    assert labels.hulls[0] is not None
+    np.testing.assert_allclose(labels.hulls[0], [[10, 25], [20, 20], [60, 20], [60, 30], [20, 30]])
+    np.testing.assert_allclose(labels.boxes().xywhr[0], [35, 25, 50, 10, 0], atol=1e-9)
+    assert labels.scores.tolist() == scores
+    assert labels.ids == tracks
+
+
+def test_a_first_corner_that_is_repeated_at_the_end_is_ignored(put: Put) -> None:
+    # The first y is 1: as a confidence and a track id, the end would be 0.125 and 1.
+    closed = '2 0.125 1 0.5 1 0.5 0.5 0.125 0.5 0.125 1'
+    (labels,) = read_labels(put('a.txt', f'{closed}\n{closed}\n'), image_size=SIZE)
+    assert labels.hulls == (None, None)
+    assert labels.scores.tolist() == [1, 1]
+    assert labels.ids == ('', '')
+
+
+def test_an_end_that_may_be_a_point_or_a_track_is_refused(put: Put) -> None:
+    path = put('a.txt', '0 0.1 0.9 0.2 0.7 0.6 0.8 0.7 0.9 0.4 1')
+    with pytest.raises(LabelError, match='a point at the border, or a confidence and a track id'):
+        list(read_labels(path, image_size=SIZE))
+
+
+@pytest.mark.parametrize('points', [2, 3, 4, 17])
+@pytest.mark.parametrize('visibility', ['', ' 2', ' 0.98'], ids=['none', 'label', 'prediction'])
+def test_poses_are_refused(put: Put, points: int, visibility: str) -> None:
+    random = np.random.default_rng(points)
+    lines = []
+    for _ in range(12):
+        x, y, width, height = random.uniform((0.2, 0.2, 0.05, 0.05), (0.8, 0.8, 0.1, 0.1))
+        places = random.uniform(-0.5, 0.5, (points, 2))
+        places[:2] = (-0.45, -0.4), (0.45, 0.4)
+        key_points = ''.join(
+            f' {x + dx * width:.6g} {y + dy * height:.6g}{visibility}' for dx, dy in places
+        )
+        lines.append(f'0 {x:.6g} {y:.6g} {width:.6g} {height:.6g}{key_points}')
+    with pytest.raises(LabelError, match='look like poses'):
+        list(read_labels(put('a.txt', '\n'.join(lines)), 'yolo_obb', image_size=SIZE))
+
+
+@given(
+    boxes=st.lists(
+        st.tuples(*[st.floats(0.1, 0.9)] * 2, *[st.floats(0.01, 0.5)] * 2, st.floats(0, 3.2)),
+        min_size=1,
+        max_size=5,
+    ),
+    ends=st.sampled_from(['', ' 0.9', ' {}', ' 0.9 {}']),
+)
+def test_oriented_boxes_of_every_place_and_size_are_told_from_poses(
+    tmp_path_factory: pytest.TempPathFactory, boxes: list[tuple[float, ...]], ends: str
+) -> None:
+    corners = OrientedBoxes.from_xywhr(boxes).corners.clip(-1, 2).reshape(-1, 8)
+    lines = [
+        f'0 {" ".join(f"{value:.6g}" for value in row)}{ends.format(number)}'
+        for number, row in enumerate(corners.tolist(), start=1)
+    ]
+    path = tmp_path_factory.mktemp('labels') / 'a.txt'
+    path.write_text('\n'.join(lines))
+    (labels,) = read_labels(path, image_size=(1, 1))
+    np.testing.assert_allclose(labels.corners.reshape(-1, 8), corners, atol=1e-5)
+    assert labels.scores.tolist() == [0.9 if '0.9' in ends else 1.0] * len(boxes)
+    tracks = [str(number) if '{' in ends else '' for number in range(1, len(boxes) + 1)]
+    assert list(labels.ids) == tracks
 
 
 def test_classes_txt_names_the_indices(put: Put) -> None:
