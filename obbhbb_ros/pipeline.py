@@ -31,8 +31,10 @@ from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import half_extents
 from obbhbb_ros.geometry.converter import to_xyxy
 from obbhbb_ros.plausibility import Doubt
+from obbhbb_ros.plausibility import OutsideWatch
 from obbhbb_ros.plausibility import doubtful_angles
 from obbhbb_ros.plausibility import doubtful_scores
+from obbhbb_ros.plausibility import frames_text
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.wire.camera import WireCamera
 from obbhbb_ros.wire.detections import Detections
@@ -40,6 +42,16 @@ from obbhbb_ros.wire.layouts import InputType
 from obbhbb_ros.wire.stamp import stamp_text
 
 OUTER = (HullRule('outer'),)
+
+OTHER_FRAME = 'other frame'
+"""Kind of the complaint that is worth saying once."""
+
+# Of one detection only one of them counts.
+_OUTSIDE = (
+    'crops_left_out.outside_image',
+    'detections_dropped.outside_image',
+    'detections_kept.outside_image',
+)
 
 
 @dataclass(frozen=True)
@@ -80,10 +92,13 @@ class ConversionOutcome(NamedTuple):
         By key of the diagnostics.
     complaints : dict of str
         What went wrong, by kind.
+    image_size : tuple of int, optional
+        Width and height of the image, if they are known.
     """
 
     counts: dict[str, int]
     complaints: dict[str, str]
+    image_size: tuple[int, int] | None = None
 
 
 def answer(
@@ -142,12 +157,40 @@ def answer(
             complaints = _no_size(missed)
     elif any(wants_crops):
         counts |= _publish_crops(batch, outputs, *wants_crops)
+    reported, texts = _reports(batch, camera if used else None, any(wants_crops))
+    return ConversionOutcome(counts | reported, complaints | texts, image_size)
+
+
+def _reports(
+    batch: Batch, camera: CameraChoice[WireCamera] | None, wants_crops: bool
+) -> tuple[dict[str, int], dict[str, str]]:
+    """Count what looks wrong in a message, and complain of it by kind."""
+    counts, complaints = {}, {}
     if batch.complaint:
         complaints['invalid detections'] = batch.complaint
-    for doubt, text in batch.doubts(has_plan=image_size is not None and any(wants_crops)):
+    seen = ('camera_info', camera.camera.frame_id if camera else '')
+    if text := frames_text(('detections', batch.frame_id), seen):
+        counts['frame_ids_differ.camera_info'] = 1
+        complaints[OTHER_FRAME] = text
+    for doubt, text in batch.doubts(has_plan=batch.has_image_size and wants_crops):
         counts[doubt.key] = len(doubt.rows)
         complaints[doubt.key] = text
-    return ConversionOutcome(counts, complaints)
+    return counts, complaints
+
+
+def outside_complaint(watch: OutsideWatch, outcome: ConversionOutcome) -> dict[str, str]:
+    """Complain, by kind, if most of the latest detections lie outside the image."""
+    counts, size = outcome.counts, outcome.image_size
+    if size is None:
+        return {}
+    outside = sum(counts.get(key, 0) for key in _OUTSIDE)
+    text = watch.note(outside, counts.get('detections_received', 0), size)
+    if not text:
+        return {}
+    return {
+        'outside': f'{text}: is camera_info, or image_width and image_height, that of the image '
+        'that the detector saw?'
+    }
 
 
 def _image_size(
@@ -250,6 +293,16 @@ class Batch:
         if detections.polygons and (crossed := count_crossed(detections.polygons)):
             self.counts['polygons_reordered'] = crossed
         self.complaint = '' if self._regular else self._count_invalid()
+
+    @property
+    def frame_id(self) -> str:
+        """The frame of the message."""
+        return self._detections.frame_id
+
+    @property
+    def has_image_size(self) -> bool:
+        """Whether the size of the image is known."""
+        return self._image_size is not None
 
     def boxes_message(self) -> bytes:
         """Write the message with axis-aligned boxes in place of the oriented ones."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers that a detector hardly means: they are converted, and reported."""
+"""What detectors and cameras hardly mean: it is used as it is, and reported."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ MAX_ANGLE = 6.3
 # Scores are often of single precision, and sums of such.
 _MAX_SCORE = 1.0 + 1e-6
 _MIN_SCORE = -1e-6
+_OUTSIDE_WINDOW = 20
 
 
 class Doubt(NamedTuple):
@@ -91,3 +92,57 @@ def doubtful_scores(scores: NDArray[np.float64]) -> Iterator[Doubt]:
         (rows,) = np.nonzero(mask)
         if rows.size:
             yield Doubt(f'scores_doubtful.{key}', rows, what, cause)
+
+
+def frames_text(one: tuple[str, str], other: tuple[str, str]) -> str:
+    """
+    Say that two messages are of different frames; empty if one of them names none.
+
+    Parameters
+    ----------
+    one, other : tuple of str
+        What a message is, and its frame id.
+
+    Examples
+    --------
+    >>> frames_text(('detections', 'left'), ('camera_info', 'right'))
+    "detections of frame 'left' meet camera_info of frame 'right': two cameras on one topic?"
+    """
+    (what, frame_id), (other_what, other_frame_id) = one, other
+    if frame_id == other_frame_id or not frame_id or not other_frame_id:
+        return ''
+    return (
+        f'{what} of frame {frame_id!r} meet {other_what} of frame {other_frame_id!r}: '
+        'two cameras on one topic?'
+    )
+
+
+class OutsideWatch:
+    """
+    Notices that most detections lie outside the image.
+
+    Examples
+    --------
+    >>> watch = OutsideWatch()
+    >>> [watch.note(outside=4, total=7, size=(640, 480)) for _ in range(3)][2]
+    '12 of the last 21 detections lie outside the image of 640 x 480 pixels'
+    """
+
+    def __init__(self) -> None:
+        self._outside = self._total = 0
+
+    def note(self, outside: int, total: int, size: tuple[int, int]) -> str:
+        """Count detections; say after every 20 or more if more than half of them lie outside."""
+        self._outside += outside
+        self._total += total
+        if self._total < _OUTSIDE_WINDOW:
+            return ''
+        outside, total = self._outside, self._total
+        self._outside = self._total = 0
+        if 2 * outside <= total:
+            return ''
+        width, height = size
+        return (
+            f'{outside} of the last {total} detections lie outside the image of '
+            f'{width} x {height} pixels'
+        )

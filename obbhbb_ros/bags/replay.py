@@ -49,9 +49,12 @@ from obbhbb_ros.downlink.cameras import CameraChoice
 from obbhbb_ros.downlink.cameras import CameraMemory
 from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.files import making
+from obbhbb_ros.pipeline import ConversionOutcome
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.pipeline import Outputs
 from obbhbb_ros.pipeline import answer
+from obbhbb_ros.pipeline import outside_complaint
+from obbhbb_ros.plausibility import OutsideWatch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.settings.parameter_file import Values
@@ -306,11 +309,10 @@ class _Stretch(NamedTuple):
 
 
 class _Answer(NamedTuple):
-    """What the node would send for a message, by output, with its counts and complaints."""
+    """What the node would send for a message, by output, and what became of the message."""
 
     messages: dict[int, bytes]
-    counts: dict[str, int]
-    complaints: dict[str, str]
+    outcome: ConversionOutcome
 
 
 def answers_to(
@@ -325,9 +327,8 @@ def answers_to(
             outcome = answer(data, INPUT_TYPES[input_type], settings, camera, outputs)
         except WireError as error:
             complaints = {UNREADABLE: f'cannot be read: {error}'}
-            answers.append(_Answer({}, {'messages_unreadable': 1}, complaints))
-        else:
-            answers.append(_Answer(messages, outcome.counts, outcome.complaints))
+            messages, outcome = {}, ConversionOutcome({'messages_unreadable': 1}, complaints)
+        answers.append(_Answer(messages, outcome))
     return answers
 
 
@@ -342,6 +343,7 @@ class _Replay:
     cameras: CameraMemory[WireCamera] = field(default_factory=CameraMemory[WireCamera])
     camera_messages: int = 0
     complaints: set[str] = field(default_factory=set)
+    outside: OutsideWatch = field(default_factory=OutsideWatch)
 
     def write(
         self,
@@ -423,8 +425,10 @@ class _Replay:
         """Count and report what became of a message; complaints about every message only once."""
         counts, topic = self.tally.counts, self.tally.topics.detections
         counts['messages_received'] += 1
-        counts.update(answer.counts)
-        for kind, text in answer.complaints.items():
+        outcome = answer.outcome
+        counts.update(outcome.counts)
+        outside = outside_complaint(self.outside, outcome)
+        for kind, text in (outcome.complaints | outside).items():
             if kind == UNREADABLE or kind not in self.complaints:
                 self.report(f'message {counts["messages_received"]} on {topic}: {text}')
             self.complaints.add(kind)

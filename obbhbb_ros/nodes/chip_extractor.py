@@ -48,6 +48,7 @@ from obbhbb_ros.nodes.node_topics import TopicInput
 from obbhbb_ros.nodes.node_topics import reliable
 from obbhbb_ros.nodes.spool_report import SpoolReport
 from obbhbb_ros.nodes.spool_report import kind_of
+from obbhbb_ros.plausibility import frames_text
 from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
 from obbhbb_ros.settings.chip_extractor import ChipSettings
 from obbhbb_ros.spool.catalogue import SpoolError
@@ -296,6 +297,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     def _cut(self, image: AnyImage, planned: PlannedFrame, started: float) -> None:
         """Cut one frame; publish what the budget allows, and store all of it in the spool."""
         self.monitor.add('frames_paired')
+        self._compare_frames(image, 'crop_regions', planned.plan.frame_id)
         frame = FrameCut[NewChip](planned.plan.regions)
         try:
             self._run(frame, image, planned)
@@ -346,10 +348,31 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     def _camera_of(self, image: WireImage) -> Camera | None:
         """Return the camera of an image, by its stamp or else the latest; None if none fits."""
         choice = self._cameras.choice(image.stamp)
-        if choice is None or not choice.camera.facts.fits((image.width, image.height)):
+        if choice is None or not all(choice.camera.facts.image_size):
+            return None
+        self._compare_frames(image, 'camera_info', choice.camera.facts.frame_id)
+        if not choice.camera.facts.fits((image.width, image.height)):
+            self._warn_of_size(image, choice.camera.facts.image_size)
             return None
         self.monitor.add(choice.key)
         return choice.camera
+
+    def _compare_frames(self, image: AnyImage, what: str, frame_id: str) -> None:
+        """Report that an image and what belongs to it are of different frames."""
+        if text := frames_text(('image', image.frame_id), (what, frame_id)):
+            self.monitor.add(f'frame_ids_differ.{what}')
+            self.reporter.warn_once(text)
+
+    def _warn_of_size(self, image: WireImage, size: tuple[int, int]) -> None:
+        """Report a camera info of another size."""
+        self.monitor.add('camera_info_of_another_size')
+        width, height = size
+        self.reporter.warn(
+            'camera size',
+            f'the image on {self._images_in.topic_name} at stamp {stamp_text(image.stamp)} has '
+            f'{image.width} x {image.height} pixels, its camera_info says {width} x {height}: '
+            'its chips have no camera, and crop regions may be misplaced',
+        )
 
     def _link(
         self, image: WireImage, plan: WirePlan, camera: CameraInfo, settings: ChipSettings

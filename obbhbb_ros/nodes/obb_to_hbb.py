@@ -11,9 +11,12 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.downlink.cameras import CameraMemory
 from obbhbb_ros.nodes.managed import ManagedNode
+from obbhbb_ros.pipeline import OTHER_FRAME
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.pipeline import Outputs
 from obbhbb_ros.pipeline import answer
+from obbhbb_ros.pipeline import outside_complaint
+from obbhbb_ros.plausibility import OutsideWatch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.wire.camera import WireCamera
@@ -59,6 +62,7 @@ class ObbToHbb(ManagedNode[ConversionSettings]):
     def configure(self) -> None:
         """Forget the cameras."""
         self._cameras = CameraMemory[WireCamera]()
+        self._outside = OutsideWatch()
         self._answers = Outputs(*(Output(topic.publish, topic.wanted) for topic in self._outputs))
 
     def _facts(self) -> dict[str, str]:
@@ -83,6 +87,11 @@ class ObbToHbb(ManagedNode[ConversionSettings]):
         self.monitor.counts.update(outcome.counts)
         if 'messages_without_subscriber' in outcome.counts:
             return
-        for kind, text in outcome.complaints.items():
-            self.reporter.warn(kind, f'{self._detections.topic_name}: {text}')
+        outside = outside_complaint(self._outside, outcome)
+        for kind, text in (outcome.complaints | outside).items():
+            said = f'{self._detections.topic_name}: {text}'
+            if kind == OTHER_FRAME:
+                self.reporter.warn_once(said)
+            else:
+                self.reporter.warn(kind, said)
         self.monitor.took(time.perf_counter() - started)

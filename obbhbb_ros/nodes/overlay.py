@@ -33,6 +33,7 @@ from obbhbb_ros.overlay.collector import LayerCollector
 from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.overlay.drawing import OverlayError
 from obbhbb_ros.overlay.overlay_frame import OverlayFrame
+from obbhbb_ros.plausibility import frames_text
 from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.overlay import OverlaySettings
 from obbhbb_ros.wire.buffer import WireError
@@ -198,6 +199,10 @@ class Overlay(ManagedNode[OverlaySettings]):
         self.monitor.add('frames_drawn')
         self.monitor.add('boxes_not_drawn', frame.boxes_not_drawn)
         self._report_missing(frame, awaited)
+        for layer, frame_id in frame.frame_ids().items():
+            if text := frames_text(('image', frame.image.frame_id), (layer, frame_id)):
+                self.monitor.add(f'frame_ids_differ.{layer}')
+                self.reporter.warn_once(text)
         for layer in settings.frame.colors:
             publishers = [p for p in (self._markers, self._markers_of[layer]) if p.wanted()]
             marker = frame.marker(layer) if publishers else b''

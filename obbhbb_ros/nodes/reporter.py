@@ -26,6 +26,7 @@ PERIOD = 1.0
 """Time between two diagnostics messages, seconds."""
 
 _WARNING_PERIOD = 5.0
+_MAX_SAID = 100
 # Without input, the level is ERROR after the input timeout, and STALE after so many of them.
 _STALE_AFTER = 3.0
 # So many, because a subscriber has to discover a restarted node before it hears of the restart.
@@ -60,6 +61,7 @@ class Reporter(Part):
         self._troubles: dict[str, str] = {}
         self._reminder, self._reminders_left = '', 0
         self._quiet_until: dict[str, float] = {}
+        self._said: set[str] = set()
         self._is_silent = False
         self._publisher: Any = None
         self._timer: Any = None
@@ -75,6 +77,12 @@ class Reporter(Part):
         if now >= self._quiet_until.get(kind, now):
             self._quiet_until[kind] = now + _WARNING_PERIOD
             self._log.warning(text)
+
+    def warn_once(self, text: str) -> None:
+        """Warn as `warn` does, of the same text only once, and of 100 texts at most."""
+        if text not in self._said and len(self._said) < _MAX_SAID:
+            self._said.add(text)
+            self.warn(text, text)
 
     def raise_level(self, kind: str, text: str) -> None:
         """Warn in the next diagnostics alone, of the last trouble of each kind."""

@@ -79,6 +79,10 @@ class OverlayFrame:
         """The layers that did not come."""
         return [layer for layer in self._settings.colors if layer not in self._layers]
 
+    def frame_ids(self) -> dict[str, str]:
+        """Return the frame id of each layer that came."""
+        return {layer: detections.frame_id for layer, detections in self._layers.items()}
+
     @property
     def boxes_not_drawn(self) -> int:
         """Number of boxes that are not finite, or empty."""

@@ -28,6 +28,8 @@ LITTLE_ENDIAN = b'\x00\x01\x00\x00'
 """Encapsulation header of a little-endian message."""
 
 _ENCAPSULATION = len(LITTLE_ENDIAN)
+# Behind the stamp of a header.
+_FRAME_ID = 8
 _BYTE_ORDERS = {b'\x00\x00': '>', b'\x00\x01': '<'}
 _WORD = {order: np.dtype(f'{order}u4') for order in '<>'}
 # Serializer and middleware may each pad to a multiple of four bytes.
@@ -87,6 +89,11 @@ class Buffer:
         """The stamp of the header that the message starts with."""
         seconds, nanoseconds = self.numbers(0, 'iI')
         return seconds, nanoseconds
+
+    @property
+    def frame_id(self) -> str:
+        """The frame of that header; bytes that are not UTF-8 are escaped."""
+        return self.text(_FRAME_ID)
 
     def numbers(self, place: int, codes: str) -> tuple[Any, ...]:
         """Read numbers, whose types are given as `struct` does."""

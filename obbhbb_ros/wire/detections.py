@@ -93,6 +93,11 @@ class Detections:
         """The stamp of the message's header."""
         return self._buffer.stamp
 
+    @property
+    def frame_id(self) -> str:
+        """The frame of the message's header; bytes that are not UTF-8 are escaped."""
+        return self._buffer.frame_id
+
     def xywhr(self) -> FloatArray:
         """
         Read the oriented boxes.

@@ -50,6 +50,8 @@ class WirePlan:
     ----------
     stamp : Stamp
         The header's stamp.
+    frame_id : str
+        The header's frame; bytes that are not UTF-8 are escaped.
     regions : list of tuple of int
         x0, y0, x1, y1, rounded outwards to whole pixels; all 0 for a box that is not finite.
     class_ids : list of str
@@ -65,7 +67,7 @@ class WirePlan:
 
     def __init__(self, data: bytes) -> None:
         self._detections = detections = Detections(data)
-        self.stamp = detections.stamp
+        self.stamp, self.frame_id = detections.stamp, detections.frame_id
         xywhr = detections.xywhr()
         center, half = xywhr[:, :2], xywhr[:, 2:4] / 2.0
         corners = np.hstack((np.floor(center - half), np.ceil(center + half)))

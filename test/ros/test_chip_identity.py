@@ -222,6 +222,31 @@ def test_a_camera_of_another_size_is_not_that_of_the_image(node: ChipNode) -> No
     assert not found.k.any()
 
 
+def test_a_camera_of_another_size_is_said_with_both_sizes(node: ChipNode) -> None:
+    before = node.counts()
+    seen_by(node, camera(640, 480))
+    node.wait(lambda: node.warned('800 x 800 pixels, its camera_info says 640 x 480'), 'a warning')
+    assert node.counts().since(before)['camera_info_of_another_size'] == 1
+
+
+def test_frames_that_differ_are_counted_and_said_once(node: ChipNode) -> None:
+    info = camera(SIDE, SIDE)
+    info.header.frame_id = 'right'
+    seen_by(node, info)
+    before = node.counts()
+    node.forget()
+    for _ in range(2):
+        header = node.stamp()
+        send(node, 1, Header(stamp=header.stamp, frame_id='left'), header)
+    node.wait(lambda: len(node.chips) == 2, 'two chips')
+    assert node.counts().since(before, 'frame_ids') == {
+        'frame_ids_differ.crop_regions': 2,
+        'frame_ids_differ.camera_info': 2,
+    }
+    for what in ("crop_regions of frame 'left'", "camera_info of frame 'right'"):
+        assert node.process.log.count(f"image of frame 'bow_camera' meet {what}") == 1
+
+
 def test_a_region_of_interest_that_is_a_pixel_off_keeps_the_camera(node: ChipNode) -> None:
     info = camera(2 * SIDE, 2 * SIDE)
     info.binning_x, info.binning_y = 2, 2

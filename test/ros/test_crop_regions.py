@@ -403,3 +403,27 @@ def test_detections_have_the_size_of_their_image_though_they_come_late(
     assert node.counts().since(before, 'camera_info') == {'camera_info_by_stamp': 6}
     node.convert(detections([SHIP]), crops)
     assert node.counts()['camera_info_latest'] >= 1
+
+
+def test_detections_outside_the_image_as_a_rule_and_of_another_camera_are_said(
+    start: Callable[..., Converter],
+) -> None:
+    node = start()
+    crops = node.peer.collect(Detection2DArray, 'crop_regions')
+    camera = node.heard_publisher(CameraInfo, 'camera_info')
+    small = info(640, 480)
+    small.header.frame_id = 'small'
+    node.send_until(
+        lambda: camera.publish(small) or node.send(detections([SHIP])),
+        lambda: crops,
+        'the first region',
+    )
+    message = detections([(100.0, 100.0, 30.0, 10.0, 0.0), *[(900.0, 700.0, 30.0, 10.0, 0.0)] * 9])
+    message.header.frame_id = 'large'
+    before = node.counts()
+    for _ in range(3):
+        node.convert(message, crops)
+    node.wait(lambda: node.warned('lie outside the image of 640 x 480 pixels'), 'a warning')
+    assert node.counts().since(before)['frame_ids_differ.camera_info'] == 3
+    said = "detections of frame 'large' meet camera_info of frame 'small'"
+    assert node.process.log.count(said) == 1

@@ -95,6 +95,18 @@ def test_all_layers_are_drawn_in_their_colours_whatever_the_order_of_arrival(
     assert all(shows(pixels, layer) for layer in LAYERS)
 
 
+def test_a_layer_of_another_frame_is_drawn_counted_and_said(node: OverlayNode) -> None:
+    before = node.counts()
+    header = node.header()
+    node.send_image(np.zeros((8, 8), np.uint8), header)
+    for layer in LAYER_COLORS:
+        frame_id = 'other' if layer == 'boxes' else header.frame_id
+        node.send_layer(layer, (), Header(stamp=header.stamp, frame_id=frame_id))
+    node.picture_of(header)
+    assert node.counts().since(before, 'frame_ids') == {'frame_ids_differ.boxes': 1}
+    assert "image of frame 'bow_camera' meet boxes of frame 'other'" in node.process.log
+
+
 def test_frames_that_overlap_in_time_are_not_mixed(node: OverlayNode) -> None:
     first, second = node.header(), node.header()
     for header, layers in ((first, LAYERS[:2]), (second, LAYERS), (first, LAYERS[2:])):

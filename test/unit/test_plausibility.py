@@ -4,8 +4,10 @@
 import numpy as np
 import pytest
 
+from obbhbb_ros.plausibility import OutsideWatch
 from obbhbb_ros.plausibility import doubtful_angles
 from obbhbb_ros.plausibility import doubtful_scores
+from obbhbb_ros.plausibility import frames_text
 
 
 @pytest.mark.parametrize(
@@ -34,3 +36,31 @@ def test_scores_that_are_no_fractions_are_doubtful(
     assert {doubt.key: doubt.rows.tolist() for doubt in doubts} == {
         f'scores_doubtful.{reason}': rows for reason, rows in reasons.items()
     }
+
+
+@pytest.mark.parametrize(
+    ('one', 'other', 'differ'),
+    [('left', 'right', True), ('left', 'left', False), ('', 'right', False), ('left', '', False)],
+)
+def test_frames_differ_where_both_are_named(one: str, other: str, differ: bool) -> None:
+    text = frames_text(('image', one), ('camera_info', other))
+    assert bool(text) == differ
+    assert not differ or ("'left'" in text and "'right'" in text)
+
+
+@pytest.mark.parametrize(
+    ('messages', 'said'),
+    [
+        ([(19, 19)], [False]),
+        ([(11, 20)], [True]),
+        ([(10, 20)], [False]),
+        ([(1, 1)] * 20, [False] * 19 + [True]),
+        # After a verdict, it begins again.
+        ([(30, 30), (0, 19), (1, 1)], [True, False, False]),
+    ],
+)
+def test_detections_that_lie_outside_as_a_rule_are_noticed(
+    messages: list[tuple[int, int]], said: list[bool]
+) -> None:
+    watch = OutsideWatch()
+    assert [bool(watch.note(*message, (640, 480))) for message in messages] == said
