@@ -10,8 +10,11 @@ COCO detection JSON: one file of many images, in pixels.
                       "segmentation": [[284, 466, 274, 456, 300, 427, 310, 439]]}]}
 
 The oriented box is the minimum rotated rectangle of the polygons, which are also the hull, unless
-there is one polygon of four corners; ``bbox`` is the reference box. An annotation without polygons
-is read as the upright box of its ``bbox``. Run-length masks are reported one by one and not read.
+there is one polygon of four corners; ``bbox`` is the reference box. A run-length mask counts as the
+polygon around it. An annotation without a segmentation is read as the box of its ``bbox``: turned
+about its centre by ``attributes.rotation``, degrees clockwise as seen, as CVAT and Datumaro write
+it; as centre, size and degrees counter-clockwise if it has five numbers, as Detectron2 writes it;
+else upright. Angles that could be radians, and members whose meaning is not known, are refused.
 Images are named by ``file_name``. Other members of an annotation are its properties.
 
 Ids of boxes are written if all of them are different whole numbers; otherwise boxes are numbered
@@ -35,29 +38,24 @@ from typing import Any
 
 import numpy as np
 
-from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.labels import coco_boxes
 from obbhbb_ros.labels import documents
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels import text
+from obbhbb_ros.labels.coco_boxes import MEMBERS
+from obbhbb_ros.labels.coco_boxes import id_of
 from obbhbb_ros.labels.extras import Id
 from obbhbb_ros.labels.extras import LabelSet
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.image_labels import ImageSize
-from obbhbb_ros.labels.label_file import NO_REFERENCE
-from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import Item
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
 from obbhbb_ros.labels.losses import PARTS
 
-MARKS = ('"annotations"', '"images"', '"categories"', '"licenses"')
-
-# Members of an annotation that are not its properties.
-MEMBERS = (
-    'id', 'image_id', 'category_id', 'bbox', 'area', 'segmentation', 'iscrowd', 'score', 'instance',
-    'difficulty',
-)  # fmt: skip
+# What begins a file of COCO, one of them at least: Datumaro has an object of categories.
+PATHS = {'{images[', '{annotations[{image_id', '{categories[', '{licenses['}
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
@@ -68,7 +66,10 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
     if 'categories' in document:
         categories = _by_id(file, 'categories', document['categories'], _category)
     annotations = documents.numbered('annotations', document['annotations'])
-    records = file.parse_records(annotations, partial(_annotation, images, categories))
+    parse = partial(
+        _annotation, images, categories, coco_boxes.widest_angle(document['annotations'])
+    )
+    records = file.parse_records(annotations, parse)
     boxes = shapes.enclose(file, records)
     label_set = LabelSet(_ids_by_name(categories or {}))
     for key, (name, size) in images.items():
@@ -91,7 +92,7 @@ def _by_id(
     items: dict[Id, Item] = {}
 
     def parse_new(record: Any) -> tuple[Id, Item]:
-        key = _id(record, 'id')
+        key = id_of(record, 'id')
         if key in items:
             raise ValueError(f'id {key!r} is already used')
         return key, parse(record)
@@ -101,15 +102,8 @@ def _by_id(
     return items
 
 
-def _id(record: object, name: str) -> Id:
-    key = documents.json_member(record, name)
-    if isinstance(key, bool) or not isinstance(key, int | str):
-        raise ValueError(f'{name!r} is {key!r}, which is not an id')
-    return key
-
-
 def _id_in(ids: Collection[Id], record: object, name: str) -> Id:
-    key = _id(record, name)
+    key = id_of(record, name)
     if key not in ids:
         raise ValueError(f'{name!r} is {key!r}, which is not in the file')
     return key
@@ -128,40 +122,17 @@ def _category(record: dict[str, Any]) -> str:
 
 
 def _annotation(
-    images: Collection[Id], categories: Mapping[Id, str] | None, annotation: dict[str, Any]
+    images: Collection[Id],
+    categories: Mapping[Id, str] | None,
+    widest: float,
+    annotation: dict[str, Any],
 ) -> shapes.Outlined:
     image = repr(_id_in(images, annotation, 'image_id'))
     if categories is None:
-        class_id = documents.plain_text(_id(annotation, 'category_id'))
+        class_id = documents.plain_text(id_of(annotation, 'category_id'))
     else:
         class_id = categories[_id_in(categories, annotation, 'category_id')]
-    instance = documents.plain_text(annotation.get('instance', annotation.get('id')))
-    score, bbox = annotation.get('score'), annotation.get('bbox')
-    score = 1.0 if score is None else documents.json_number(score, 'score')
-    reference: Sequence[float] = NO_REFERENCE
-    if bbox is not None:
-        reference = shapes.bounds_of_xywh(*documents.json_numbers(bbox, 4, 'bbox'))
-    rings = _rings(annotation.get('segmentation'))
-    if not rings and bbox is None:
-        raise ValueError("neither 'segmentation' nor 'bbox'")
-    corners = () if rings else shapes.upright_corners(reference)
-    box = Box(
-        corners,
-        class_id,
-        instance,
-        score,
-        reference,
-        crowd=_crowd(annotation.get('iscrowd')),
-        difficulty=documents.parse_difficulty(documents.plain_text(annotation.get('difficulty'))),
-        properties=documents.json_properties(annotation, MEMBERS),
-    )
-    return shapes.Outlined(image, box, rings)
-
-
-def _crowd(value: object) -> bool:
-    if value not in (None, 0, 1):
-        raise ValueError(f"'iscrowd' is {value!r}, neither 0 nor 1")
-    return bool(value)
+    return coco_boxes.annotated_box(annotation, image, class_id, widest)
 
 
 def _ids_by_name(categories: Mapping[Id, str]) -> dict[str, Id]:
@@ -170,20 +141,6 @@ def _ids_by_name(categories: Mapping[Id, str]) -> dict[str, Id]:
     for key, name in categories.items():
         ids.setdefault(name, key)
     return ids
-
-
-def _rings(segmentation: object) -> list[FloatArray]:
-    if isinstance(segmentation, dict):
-        raise ValueError('run-length encoded segmentation is not supported, only polygons are')
-    if segmentation is None:
-        return []
-    if not isinstance(segmentation, list):
-        raise ValueError('segmentation is not an array of polygons')
-    rings = []
-    for polygon in segmentation:
-        numbers = documents.json_numbers(polygon, None, 'segmentation')
-        rings.append(shapes.ring_of_pairs(numbers))
-    return rings
 
 
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
@@ -253,14 +210,13 @@ def _annotation_records(
 
 
 def _sniff(head: str) -> bool:
-    # An array of tasks with annotations is an export of Label Studio.
-    return not head.lstrip().startswith('[') and any(mark in head for mark in MARKS)
+    return not documents.json_paths(head).isdisjoint(PATHS)
 
 
 FORMAT = Format(
     name='coco',
     suffixes=('.json',),
-    summary='COCO JSON of many images: polygon segmentation, bbox as reference box',
+    summary='COCO JSON of many images: segmentation or bbox, with rotation',
     sniff=_sniff,
     read=_read,
     write_boxes=_write_boxes,

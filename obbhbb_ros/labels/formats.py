@@ -16,8 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from obbhbb_ros.labels import coco
+from obbhbb_ros.labels import coco_results
 from obbhbb_ros.labels import csv_tables
 from obbhbb_ros.labels import cvat
+from obbhbb_ros.labels import datumaro
 from obbhbb_ros.labels import dota
 from obbhbb_ros.labels import fair1m
 from obbhbb_ros.labels import geojson
@@ -54,6 +56,8 @@ _ALL = (
     cvat.FORMAT,
     fair1m.FORMAT,
     coco.FORMAT,
+    coco_results.FORMAT,
+    datumaro.FORMAT,
     geojson.FORMAT,
     labelme.FORMAT,
     label_studio.FORMAT,

@@ -32,6 +32,29 @@ SOUND = {
         '<annotation><object><name>s</name><bndbox><xmin>1</xmin><ymin>2</ymin><xmax>9</xmax>'
         '<ymax>4</ymax></bndbox></object></annotation>'
     ),
+    'cvat': (
+        '<annotations><image name="a" width="9" height="9"><mask label="s" rle="1, 8" left="1" '
+        'top="2" width="3" height="3"/></image></annotations>'
+    ),
+    'fair1m': (
+        '<annotation><objects><object><possibleresult><name>s</name></possibleresult><points>'
+        '<point>1,2</point><point>9,2</point><point>9,4</point><point>1,4</point></points></object>'
+        '</objects></annotation>'
+    ),
+    'coco_results': json.dumps([{
+        'image_id': 1, 'category_id': 1, 'score': 0.5, 'bbox': [5, 3, 8, 2, 60],
+        'segmentation': {'size': [3, 3], 'counts': [1, 8]},
+    }]),
+    'datumaro': json.dumps({
+        'categories': {'label': {'labels': [{'name': 's'}]}},
+        'items': [{
+            'id': 'a', 'image': {'size': [9, 9]},
+            'annotations': [{
+                'id': 1, 'type': 'bbox', 'label_id': 0, 'bbox': [1, 2, 8, 2],
+                'attributes': {'rotation': 30, 'is_crowd': False},
+            }],
+        }],
+    }),
     'coco': json.dumps({
         'images': [{'id': 1, 'file_name': 'a', 'width': 9, 'height': 9}],
         'categories': [{'id': 1, 'name': 's'}],
@@ -70,7 +93,15 @@ SOUND = {
     }]),
 }  # fmt: skip
 
-DOCUMENTS = ('coco', 'geojson', 'labelme', 'label_studio', 'ultralytics')
+DOCUMENTS = (
+    'coco',
+    'coco_results',
+    'datumaro',
+    'geojson',
+    'labelme',
+    'label_studio',
+    'ultralytics',
+)
 MEMBERS = ('id', 'type', 'coordinates', 'x', 'value')
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3),

@@ -104,7 +104,7 @@ RLE = {'size': [768, 1024], 'counts': 'X`2'}
 @pytest.mark.parametrize(
     ('bad', 'message'),
     [
-        (_annotation(segmentation=RLE), 'run-length'),
+        (_annotation(segmentation=RLE), 'the runs of the mask do not fill'),
         (_annotation(segmentation='x'), 'segmentation is not an array'),
         (_annotation(segmentation=[[1, 2, 3, 4]]), 'a polygon has 4 numbers'),
         (_annotation(segmentation=[[1, 2, 3, 4, 5, 6, 7]]), 'a polygon has 7 numbers'),

@@ -23,7 +23,8 @@ CSV = 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\n'
 def test_the_registry_has_every_format_under_its_own_name() -> None:
     assert list(FORMATS) == [
         'dota', 'yolo_obb', 'yolo', 'csv', 'wkt', 'hrsc', 'voc', 'cvat', 'fair1m', 'coco',
-        'geojson', 'labelme', 'label_studio', 'ultralytics', 'shapefile',
+        'coco_results', 'datumaro', 'geojson', 'labelme', 'label_studio', 'ultralytics',
+        'shapefile',
     ]  # fmt: skip
     for name, entry in FORMATS.items():
         assert entry.name == name
@@ -60,6 +61,9 @@ def test_the_registry_has_every_format_under_its_own_name() -> None:
         ('a.xml', '<annotations>\n<version>1.1</version>', 'cvat'),
         ('a.xml', '<annotation><source/><objects><object>', 'fair1m'),
         ('a.json', '{"info": {}, "licenses": [], "images": [', 'coco'),
+        ('a.json', '{"annotations": [{"image_id": 1', 'coco'),
+        ('a.json', '[{"image_id": 1, "category_id": 1, "bbox": [', 'coco_results'),
+        ('a.json', '{"infos": {}, "categories": {"label": {}}, "items": [', 'datumaro'),
         ('a.json', '{"type": "FeatureCollection", "features": [', 'geojson'),
         ('a.geojson', '{}', 'geojson'),
         ('a.json', '{"version": "6.3.1", "flags": {}, "shapes": [', 'labelme'),
