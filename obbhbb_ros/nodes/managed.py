@@ -71,6 +71,7 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
         self.reporter = Reporter(self, self.monitor, self.parameters.notable_values)
         self.topics = NodeTopics(self, self.reporter)
         self.parts: list[Part] = [self.reporter, self.topics]
+        self._is_starting = False
         internals.refuse_impossible_transitions(self, self.get_logger().error)
 
     def autostart(self) -> None:
@@ -83,11 +84,14 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
             If one of the two fails.
         """
         if not self.get_parameter(AUTOSTART.name).value:
+            self.reporter.log_state('unconfigured')
             return
+        self._is_starting = True
         transitions = {'configure': self.trigger_configure, 'activate': self.trigger_activate}
         for name, trigger in transitions.items():
             if trigger() != TransitionCallbackReturn.SUCCESS:
                 raise StartError(f'{self.get_name()} failed to {name}; the log says why')
+        self._is_starting = False
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Configure all parts; messages are counted and dropped until activation."""
@@ -98,32 +102,38 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
             self.get_logger().fatal(f'cannot configure: {type(error).__name__}: {error}')
             self._release_parts()
             return TransitionCallbackReturn.FAILURE
+        if not self._is_starting:
+            self.reporter.log_state('inactive')
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start working."""
         for part in self._all_parts():
             part.activate()
+        self.get_logger().info(f'active, {self.topics.summary()}')
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop working; messages are counted and dropped."""
         for part in self._all_parts():
             part.deactivate()
+        self.reporter.log_state('inactive')
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Remove all topics."""
+        """Remove all topics but that of the diagnostics."""
         self._release_parts()
+        self.reporter.log_state('unconfigured')
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Remove all topics, from any state."""
+        """Remove all topics but that of the diagnostics, from any state."""
         self._release_parts()
+        self.reporter.log_state('finalized')
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Remove all topics, and become unconfigured."""
+        """Remove all topics but that of the diagnostics, and become unconfigured."""
         self.get_logger().error(f'error in state {state.label}, going back to unconfigured')
         self._release_parts()
         return super().on_error(state)

@@ -16,16 +16,22 @@ from rclpy.qos import ReliabilityPolicy
 from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.following import OVERRIDABLE
 from obbhbb_ros.nodes.following import FollowingSubscription
+from obbhbb_ros.nodes.following import type_name
+from obbhbb_ros.nodes.input_advice import advice_on_silence
+from obbhbb_ros.nodes.input_advice import advice_on_type
 from obbhbb_ros.nodes.parts import Part
 from obbhbb_ros.nodes.parts import steady_timer
+from obbhbb_ros.nodes.reporter import DIAGNOSTICS
 from obbhbb_ros.nodes.reporter import Reporter
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.layouts import InputType
 
 OVERRIDE_PREFIX = 'qos_overrides.'
 _DEPTH = 10
-# Seconds between two looks at the publishers of the inputs.
+# Seconds between two looks at the publishers of the inputs, and the number of looks after which a
+# topic without a publisher is reported.
 _LOOK_PERIOD = 1.0
+_PATIENCE = 5
 
 
 def message_type(input_type: InputType) -> Any:
@@ -66,6 +72,11 @@ class TopicOutput:
     depth: int
     _publisher: Any = None
 
+    @property
+    def topic_name(self) -> str:
+        """Name of the topic after namespace and remaps."""
+        return str(self.node.resolve_topic_name(self.topic))
+
     def open(self) -> None:
         """Create the publisher."""
         self._publisher = create_output(self.node, self.kind, self.topic, self.depth)
@@ -100,6 +111,8 @@ class TopicInput:
     callback: Callable[[bytes], object]
     counter: str
     qos: QoSProfile
+    optional: bool = False
+    _lonely_looks: int = 0
     _subscription: FollowingSubscription | None = None
 
     @property
@@ -132,24 +145,74 @@ class TopicInput:
         """Unsubscribe, if subscribed."""
         if self._subscription is not None:
             self._subscription.destroy()
-        self._subscription = None
+        self._subscription, self._lonely_looks = None, 0
 
     def has_publisher(self) -> bool:
         """Return whether the topic has a publisher that matches."""
         return self._subscription is not None and self._subscription.publisher_count() > 0
 
     def look(self) -> None:
-        """Follow the publishers of the topic, and report those that an override excludes."""
+        """Follow the publishers of the topic, and report what keeps messages from the node."""
         if self._subscription is None:
             return
         publishers = self._subscription.publishers()
         self._subscription.follow(publishers)
+        self._report_other_types({publisher.topic_type for publisher in publishers})
+        self._report_loneliness(bool(publishers))
         for name, reason in self._subscription.unheard(publishers).items():
             self.topics.reporter.warn(
                 f'unheard {name} on {self.topic_name}',
                 f'no messages from {name} on {self.topic_name}, incompatible QoS: {reason}; '
                 f'see {OVERRIDE_PREFIX}{self.topic_name}.subscription',
             )
+
+    @property
+    def is_lonely(self) -> bool:
+        """Whether nobody has published on the topic for some time, though the node needs it."""
+        return self._lonely_looks >= _PATIENCE
+
+    def _report_other_types(self, types: set[str]) -> None:
+        """Report that the topic carries messages of other types alone."""
+        if self._subscription is None or not types or type_name(self._subscription.kind) in types:
+            return
+        # Of the types of detections, the parameter `input_type` decides on the topic alone.
+        kind = self.kind
+        by_parameter = kind if isinstance(kind, InputType) and kind.topic == self.topic else None
+        for carried in sorted(types):
+            plain = carried.rpartition('/')[2]
+            advice = advice_on_type(self.topic_name, by_parameter, self.type_name, plain)
+            self.topics.reporter.warn(
+                f'{carried} on {self.topic_name}',
+                f'{self.topic_name} carries {carried.replace("/msg/", "/")}, this node reads '
+                f'{self.type_name}: {advice}',
+            )
+
+    def _report_loneliness(self, has_publisher: bool) -> None:
+        """Say once that nobody publishes on a topic that the node needs while it is active."""
+        if has_publisher or self.optional or not self.counter or not self.topics.is_active:
+            self._lonely_looks = 0
+            return
+        self._lonely_looks += 1
+        if self._lonely_looks == _PATIENCE:
+            advice = advice_on_silence(self.topic_name, self._carriers())
+            self.topics.node.get_logger().warning(
+                f'nobody publishes on {self.topic_name} ({self.type_name}){advice}'
+            )
+
+    def _carriers(self) -> dict[str, str]:
+        """Return other topics that have a publisher and may be meant, and their types."""
+        node, own = self.topics.node, self.topics.published()
+        kinds = (
+            {self.type_name, 'Image', 'CompressedImage'}
+            if 'Image' in self.type_name
+            else {self.type_name}
+        )
+        return {
+            name: plain
+            for name, types in node.get_topic_names_and_types()
+            for plain in (carried.rpartition('/')[2] for carried in types)
+            if plain in kinds and name not in own and node.get_publishers_info_by_topic(name)
+        }
 
     def _receive_when_active(self, data: bytes) -> None:
         """Count a message, and handle it if the node is active."""
@@ -204,6 +267,7 @@ class NodeTopics(Part):
 
     def __init__(self, node: Node, reporter: Reporter) -> None:
         self.node, self.reporter, self.is_active = node, reporter, False
+        reporter.add_notes(self.notes)
         self._topics: list[TopicOutput | TopicInput] = []
         self._on_demand: list[TopicInput] = []
         self._timer: Any = None
@@ -222,6 +286,7 @@ class NodeTopics(Part):
         counter: str = '',
         qos: QoSProfile | None = None,
         on_demand: bool = False,
+        optional: bool = False,
     ) -> TopicInput:
         """
         Add a topic to subscribe to.
@@ -243,15 +308,32 @@ class NodeTopics(Part):
             Quality of service of the usual publisher; by default reliable.
         on_demand : bool
             Whether the node itself opens the input, instead of `configure`.
+        optional : bool
+            Whether the node works without it. So it does without an input that has no counter.
 
         Returns
         -------
         TopicInput
             The topic.
         """
-        added = TopicInput(self, kind, topic, callback, counter, qos or reliable(_DEPTH))
+        added = TopicInput(self, kind, topic, callback, counter, qos or reliable(_DEPTH), optional)
         (self._on_demand if on_demand else self._topics).append(added)
         return added
+
+    def published(self) -> list[str]:
+        """List the topics that the node publishes, by their full names."""
+        return [topic.topic_name for topic in self._topics if isinstance(topic, TopicOutput)]
+
+    def summary(self) -> str:
+        """Say what the node listens to and what it publishes."""
+        listens = ', '.join(f'{topic.topic_name} ({topic.type_name})' for topic in self._inputs())
+        publishes = ', '.join([*self.published(), DIAGNOSTICS])
+        return f'listens to {listens}; publishes {publishes}'
+
+    def notes(self) -> list[str]:
+        """Say what the node waits for."""
+        lonely = [topic.topic_name for topic in self._inputs() if topic.is_lonely]
+        return [f'nobody publishes on {", ".join(lonely)}'] if lonely else []
 
     def configure(self) -> None:
         """Create publishers and subscriptions."""
@@ -276,9 +358,13 @@ class NodeTopics(Part):
 
     def _look(self) -> None:
         """Look at the publishers of all inputs."""
-        for topic in (*self._topics, *self._on_demand):
-            if isinstance(topic, TopicInput):
-                topic.look()
+        for topic in self._inputs():
+            topic.look()
+
+    def _inputs(self) -> list[TopicInput]:
+        """List all inputs."""
+        topics = (*self._topics, *self._on_demand)
+        return [topic for topic in topics if isinstance(topic, TopicInput)]
 
     def _warn_of_unused_overrides(self) -> None:
         """Warn of QoS overrides that match no topic, or no policy that can be overridden."""

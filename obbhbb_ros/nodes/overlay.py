@@ -106,7 +106,7 @@ class Overlay(ManagedNode[OverlaySettings]):
         """Add the topic of a layer."""
         callback = partial(self._on_layer, layer, input_type)
         counter = f'layers_received.{layer}'
-        return self.topics.input(input_type, topic, callback, counter, qos, on_demand=True)
+        return self.topics.input(input_type, topic, callback, counter, qos, True, optional=True)
 
     def configure(self) -> None:
         """Start to look for viewers; the inputs are opened for the first one."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -22,8 +23,18 @@ from obbhbb_ros.settings.common import INPUT_TIMEOUT
 from obbhbb_ros.settings.parameter_file import Value
 from obbhbb_ros.settings.parameter_file import yaml_value
 
+DIAGNOSTICS = '/diagnostics'
+"""The topic of the diagnostics."""
+
 PERIOD = 1.0
 """Time between two diagnostics messages, seconds."""
+
+WAITING = {
+    'unconfigured': 'waits for a lifecycle manager to configure it',
+    'inactive': 'waits for a lifecycle manager to activate it',
+    'finalized': 'has to be started anew',
+}
+"""What a node waits for in each state in which it does not work."""
 
 _WARNING_PERIOD = 5.0
 _MAX_SAID = 100
@@ -42,6 +53,8 @@ class Reporter(Part):
     """
     Publishes the state, counters, rates, latencies and parameters of a node, and warns.
 
+    It does so in every state of the node, from its start to its end.
+
     Parameters
     ----------
     node : LifecycleNode
@@ -58,17 +71,26 @@ class Reporter(Part):
         self.monitor = monitor
         self._node, self._log, self._parameters = node, node.get_logger(), parameters
         self._facts: list[Callable[[], Mapping[str, str]]] = []
+        self._notes: list[Callable[[], list[str]]] = []
         self._troubles: dict[str, str] = {}
         self._reminder, self._reminders_left = '', 0
         self._quiet_until: dict[str, float] = {}
         self._said: set[str] = set()
         self._is_silent = False
-        self._publisher: Any = None
-        self._timer: Any = None
+        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 1)
+        steady_timer(node, PERIOD, self._publish)
 
     def add_facts(self, facts: Callable[[], Mapping[str, str]]) -> None:
         """Report what a function returns, besides counters, rates and parameters."""
         self._facts.append(facts)
+
+    def add_notes(self, notes: Callable[[], list[str]]) -> None:
+        """Add what a function returns to the message of a node that is in order."""
+        self._notes.append(notes)
+
+    def log_state(self, state: str) -> None:
+        """Log that the node is in a state in which it does not work."""
+        self._log.info(f'{state}, {WAITING[state]}')
 
     def warn(self, kind: str, text: str) -> None:
         """Warn in the next diagnostics and in the log, there at most every 5 s for each kind."""
@@ -92,19 +114,9 @@ class Reporter(Part):
         """Warn in those of the next ten reports that have nothing else to warn of."""
         self._reminder, self._reminders_left = text, _REMINDERS
 
-    def configure(self) -> None:
-        """Start to publish diagnostics."""
-        self._publisher = self._node.create_publisher(DiagnosticArray, '/diagnostics', 1)
-        self._timer = steady_timer(self._node, PERIOD, self._publish)
-
     def activate(self) -> None:
         """Expect input."""
         self.monitor.expect_input()
-
-    def cleanup(self) -> None:
-        """Stop publishing diagnostics."""
-        self._node.destroy_timer(self._timer)
-        self._node.destroy_publisher(self._publisher)
 
     def _publish(self) -> None:
         """Publish the report of the period that ends now."""
@@ -131,7 +143,8 @@ class Reporter(Part):
 
     def _summary(self, state: str, input_timeout: float) -> tuple[bytes, str]:
         """Return level and message of a report: silence, or else trouble, or else the state."""
-        trouble = '; '.join(self._troubles.values())
+        waiting = [f'{state}, {WAITING[state]}'] if state in WAITING else []
+        trouble = '; '.join([*self._troubles.values(), *waiting])
         self._troubles.clear()
         if self._reminders_left:
             self._reminders_left -= 1
@@ -142,7 +155,9 @@ class Reporter(Part):
             is_stale = silence > _STALE_AFTER * input_timeout
             level = DiagnosticStatus.STALE if is_stale else DiagnosticStatus.ERROR
             return level, f'no input for {silence:.0f} s'
-        return (DiagnosticStatus.WARN, trouble) if trouble else (DiagnosticStatus.OK, state)
+        if trouble:
+            return DiagnosticStatus.WARN, trouble
+        return DiagnosticStatus.OK, ', '.join([state, *chain(*(notes() for notes in self._notes))])
 
     def _notice_silence(self, silence: float, timeout: float) -> None:
         """Log when the node begins to miss input, and when input is back; 0 for no timeout."""

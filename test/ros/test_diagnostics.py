@@ -149,7 +149,7 @@ def test_no_input_is_expected_while_inactive_or_without_a_timeout(
     node = start(parameters={'input_timeout': 0.1, 'autostart': False})
     node.change_state(Transition.TRANSITION_CONFIGURE)
     for _ in range(3):
-        assert node.next_report().level == DiagnosticStatus.OK
+        assert node.next_report().level == DiagnosticStatus.WARN
     node.set({'input_timeout': 0.0})
     node.change_state(Transition.TRANSITION_ACTIVATE)
     for _ in range(3):
@@ -164,7 +164,7 @@ def test_a_silent_node_that_is_deactivated_does_not_log_that_input_is_back(
     node.set({'input_timeout': 0.5})
     node.wait(lambda: node.next_report().level == DiagnosticStatus.ERROR, 'an error')
     assert node.change_state(Transition.TRANSITION_DEACTIVATE)
-    node.wait(lambda: node.next_report().level == DiagnosticStatus.OK, 'no more of it')
+    node.wait(lambda: node.next_report().level == DiagnosticStatus.WARN, 'no more of it')
     assert 'input is back' not in node.process.log
 
 

@@ -83,12 +83,50 @@ def test_with_autostart_the_node_is_active_by_itself(start: Start) -> None:
     assert_it_converts(node)
 
 
-def test_without_autostart_it_is_unconfigured_and_has_no_topics(managed: Converter) -> None:
-    # Enough time to discover topics, and for an active node to report.
+def test_without_autostart_it_has_no_topics_but_diagnostics(managed: Converter) -> None:
+    # Enough time to discover topics.
     managed.peer.spin_to(time.monotonic() + 1.5)
     assert outputs(managed) == []
     assert inputs(managed) == 0
-    assert managed.reports() == []
+    assert managed.reports()
+
+
+WAITING = {
+    'unconfigured': 'unconfigured, waits for a lifecycle manager to configure it',
+    'inactive': 'inactive, waits for a lifecycle manager to activate it',
+    'finalized': 'finalized, has to be started anew',
+}
+
+
+def test_every_state_in_which_it_does_not_work_is_reported_and_logged(managed: Converter) -> None:
+    way = [
+        ('unconfigured', ()),
+        ('inactive', (CONFIGURE,)),
+        ('inactive', (ACTIVATE, DEACTIVATE)),
+        ('unconfigured', (CLEANUP,)),
+        ('finalized', (SHUTDOWN['unconfigured'],)),
+    ]
+    for state, transitions in way:
+        go(managed, *transitions)
+        status = managed.next_report()
+        assert (status.level, status.message) == (DiagnosticStatus.WARN, WAITING[state])
+        assert values_of(status)['state'] == state
+    lines = [line.rpartition(': ')[2] for line in managed.process.log.splitlines()]
+    expected = [WAITING[state] for state, _ in way]
+    assert [line for line in lines if line in WAITING.values()] == expected
+    # It goes on reporting.
+    managed.next_report()
+    assert managed.next_report().message == WAITING['finalized']
+
+
+def test_an_active_node_logs_once_what_it_listens_to_and_publishes(start: Start) -> None:
+    node = start(arguments=['-r', 'detections:=/yolo/detections'], namespace='/said')
+    line = node.wait_for_log('active, listens to')
+    assert line.endswith(
+        'active, listens to /said/camera_info (CameraInfo), /yolo/detections (Detection2DArray); '
+        'publishes /said/boxes, /said/crop_regions, /said/crop_sources, /diagnostics'
+    )
+    assert len(node.process.log.splitlines()) == 1
 
 
 def test_inactive_it_publishes_nothing_but_diagnostics(managed: Converter) -> None:

@@ -129,7 +129,7 @@ def test_a_parameter_file_without_parameters_for_the_node_is_named(
     arguments = ['-r', remap, '--params-file', str(file)]
     with site.start('obb_to_hbb', arguments=arguments) as process:
         wait_until(lambda: 'no parameters for' in process.log)
-        (line,) = process.log.splitlines()
+        (line,) = (text for text in process.log.splitlines() if 'no parameters for' in text)
     assert 'WARN' in line
     assert f'{file}: no parameters for /' in line
 
@@ -149,7 +149,7 @@ def test_of_a_file_for_several_nodes_only_names_that_no_node_has_are_warned_of(
     file.write_text(SHARED_YAML)
     with site.start('chip_extractor', arguments=['--params-file', str(file)]) as process:
         wait_until(lambda: 'of other nodes' in process.log)
-        warning, info = process.log.splitlines()
+        warning, info, *_ = process.log.splitlines()
     assert warning.endswith('unknown parameters, ignored: image_widht, layers')
     assert info.endswith('parameters of other nodes, ignored: classes.tug.weight, q')
 
@@ -528,7 +528,7 @@ def test_a_parameter_file_can_override_the_profiles(start: Start, tmp_path: Path
     prefix = 'qos_overrides./qos_test'
     names = f'{prefix}/detections.subscription.depth', f'{prefix}/boxes.publisher.history'
     assert node.get(*names) == [3, 'keep_all']
-    assert node.process.log == ''
+    assert 'WARN' not in node.process.log
 
 
 def test_an_override_that_matches_no_topic_or_policy_is_reported(start: Start) -> None:

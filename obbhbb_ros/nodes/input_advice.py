@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which parameter or remap gives a node its input."""
+
+from __future__ import annotations
+
+from obbhbb_ros.wire.layouts import INPUT_TYPES
+from obbhbb_ros.wire.layouts import InputType
+
+_COMPRESSED = '/compressed'
+
+
+def advice_on_type(topic: str, kind: InputType | None, read: str, carried: str) -> str:
+    """
+    Say how a node reads a topic that carries another type of message.
+
+    Parameters
+    ----------
+    topic : str
+        Full name of the topic.
+    kind : InputType or None
+        The type that is read, if the parameter `input_type` decides.
+    read, carried : str
+        Names of the message types without their packages.
+
+    Returns
+    -------
+    str
+        A request to the operator.
+    """
+    other = INPUT_TYPES.get(carried)
+    if kind is not None and other is not None:
+        remap = '' if other.topic == kind.topic else f' and remap {other.topic} to {topic}'
+        return f'set input_type to {carried}{remap}'
+    if (read, carried) == ('Image', 'CompressedImage'):
+        base = topic.removesuffix(_COMPRESSED)
+        return f'set image_transport to compressed, which reads {base}{_COMPRESSED}' + (
+            f', and remap image to {base}' if base != topic else ''
+        )
+    if (read, carried) == ('CompressedImage', 'Image'):
+        return 'set image_transport to raw, and remap image to this topic'
+    return f'remap it to a topic that carries {read}'
+
+
+def advice_on_silence(topic: str, carriers: dict[str, str]) -> str:
+    """
+    Say which other topics a node might read.
+
+    Parameters
+    ----------
+    topic : str
+        Full name of the topic on which nobody publishes.
+    carriers : dict of str
+        Names of other topics to the names of their message types: those of the type that is read,
+        and those of images.
+
+    Returns
+    -------
+    str
+        Advice that begins with a semicolon; empty if there is none.
+    """
+    compressed = f'{topic}{_COMPRESSED}'
+    if carriers.get(compressed) == 'CompressedImage':
+        return f'; set image_transport to compressed to read {compressed}'
+    if carriers.get(topic.removesuffix(_COMPRESSED)) == 'Image' and topic.endswith(_COMPRESSED):
+        return f'; set image_transport to raw to read {topic.removesuffix(_COMPRESSED)}'
+    return f'; remap it to {" or ".join(sorted(carriers)[:3])}?' if carriers else ''
