@@ -43,12 +43,23 @@ def message_type(input_type: InputType) -> Any:
     ModuleNotFoundError
         If the package that defines it is not installed.
     """
+    return message_class(input_type.package, input_type.name)
+
+
+def message_class(package: str, name: str) -> Any:
+    """
+    Return a message class of a package that may be missing.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If the package is not installed.
+    """
     try:
-        return getattr(import_module(f'{input_type.package}.msg'), input_type.name)
+        return getattr(import_module(f'{package}.msg'), name)
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            f'{input_type.name} needs the ROS package {input_type.package}: install and source it '
-            f'({error})'
+            f'{name} needs the ROS package {package}: install and source it ({error})'
         ) from None
 
 

@@ -22,6 +22,7 @@ from obbhbb_ros.downlink.decoding import decoded
 from obbhbb_ros.downlink.joiner import IMAGES_KEPT
 from obbhbb_ros.downlink.joiner import PLANS_KEPT
 from obbhbb_ros.downlink.joiner import ZERO_STAMP
+from obbhbb_ros.nodes.annotations_output import AnnotationsOutput
 from obbhbb_ros.nodes.image_input import image_input
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import TopicInput
@@ -34,6 +35,7 @@ from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.overlay.drawing import OverlayError
 from obbhbb_ros.overlay.overlay_frame import OverlayFrame
 from obbhbb_ros.plausibility import frames_text
+from obbhbb_ros.settings.overlay import ANNOTATIONS
 from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.overlay import OverlaySettings
 from obbhbb_ros.wire.buffer import WireError
@@ -58,7 +60,7 @@ class Overlay(ManagedNode[OverlaySettings]):
     Managed node `overlay`.
 
     It subscribes to `image`, `detections`, `boxes` and `crop_regions` while it has subscribers, and
-    publishes `overlay/compressed`, `overlay/markers` and `/diagnostics`.
+    publishes `overlay/compressed`, `overlay/markers`, `overlay/annotations` and `/diagnostics`.
     Topics and parameters: `doc/overlay.md`.
 
     Parameters
@@ -70,6 +72,8 @@ class Overlay(ManagedNode[OverlaySettings]):
     ------
     ValueError, rclpy.exceptions.ParameterException
         If the parameters given at start cannot be used.
+    ModuleNotFoundError
+        If annotations are asked for and foxglove_msgs is not installed.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -85,7 +89,11 @@ class Overlay(ManagedNode[OverlaySettings]):
             layer: self.topics.output(ImageMarker, f'overlay/markers/{layer}')
             for layer in LAYER_COLORS
         }
-        self._outputs = (self._pictures, self._markers, *self._markers_of.values())
+        asked = self.get_parameter(ANNOTATIONS.name).value
+        self._annotations = AnnotationsOutput(self.topics, self.monitor) if asked else None
+        self._outputs = [self._pictures, self._markers, *self._markers_of.values()]
+        if self._annotations is not None:
+            self._outputs.append(self._annotations.output)
         images, plans = reliable(IMAGES_KEPT), reliable(PLANS_KEPT)
         self._image_in = image_input(self.topics, self._on_image, images, on_demand=True)
         plain = INPUT_TYPES['Detection2DArray']
@@ -195,7 +203,7 @@ class Overlay(ManagedNode[OverlaySettings]):
             self.monitor.took(time.perf_counter() - started)
 
     def _draw(self, frame: OverlayFrame, settings: OverlaySettings, awaited: set[str]) -> None:
-        """Publish the markers and the picture of an image that have a subscriber."""
+        """Publish the markers, annotations and picture of an image that have a subscriber."""
         self.monitor.add('frames_drawn')
         self.monitor.add('boxes_not_drawn', frame.boxes_not_drawn)
         self._report_missing(frame, awaited)
@@ -209,6 +217,8 @@ class Overlay(ManagedNode[OverlaySettings]):
             for publisher in publishers:
                 publisher.publish(marker)
                 self.monitor.add('markers_sent')
+        if self._annotations is not None and self._annotations.output.wanted():
+            self._annotations.send(frame)
         if self._pictures.wanted():
             self._send_picture(frame)
 

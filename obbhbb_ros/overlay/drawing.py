@@ -12,9 +12,7 @@ import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +28,11 @@ from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Range
 from obbhbb_ros.limits import setting
+from obbhbb_ros.overlay.lettering import Labels
+from obbhbb_ros.overlay.lettering import Size
+from obbhbb_ros.overlay.lettering import has_room_for_legend
+from obbhbb_ros.overlay.lettering import place_labels
+from obbhbb_ros.overlay.lettering import text_mask
 from obbhbb_ros.overlay.outlines import Pen
 from obbhbb_ros.overlay.outlines import finite
 from obbhbb_ros.overlay.outlines import ink_on
@@ -42,23 +45,12 @@ from obbhbb_ros.wire.image import WireImage
 _SIDES_PER_LINE = 550.0
 _SIDES_PER_TEXT = 64.0
 _MIN_TEXT_SIZE = 10
-# Scores from here on are written with an exponent.
-_MAX_PLAIN_SCORE = 1000.0
-# Labels that are tried; no picture has room for that many.
-_MAX_LABELS = 2000
 # Maximum side of a JPEG, pixels.
 _MAX_SIDE = 65_500
-_MAX_TEXT_LENGTH = 24
 _LEGEND_GROUND, _LEGEND_INK = (16, 28, 36), (255, 255, 255)
-# A legend that needs more of a side of the picture is left out.
-_MAX_LEGEND_SHARE = 1.0 / 3.0
 _NOWHERE = np.empty((0, 4))
 # Pillow's names of pixels in memory.
 _RAW_MODES = {'rgb8': 'RGB', 'bgr8': 'BGR', 'rgba8': 'RGBX', 'bgra8': 'BGRX'}
-_MAX_CACHED_TEXTS = 256
-
-Size: TypeAlias = tuple[int, int]
-"""Width and height, pixels."""
 
 
 class OverlayError(ObbhbbError, ValueError):
@@ -122,28 +114,9 @@ class Layer:
     title: str = ''
     dashed: bool = False
 
-
-@dataclass(frozen=True)
-class Labels:
-    """
-    Texts beside boxes.
-
-    Attributes
-    ----------
-    color : str
-        Of the background, '#rrggbb'.
-    corners : ndarray, shape (N, 4, 2)
-        Of the boxes, as in `Layer`.
-    texts : sequence of str
-        N texts; an empty one is not written.
-    scores : ndarray, shape (N,)
-        If there is not room for all texts, those of the best scores are written.
-    """
-
-    color: str
-    corners: FloatArray
-    texts: Sequence[str]
-    scores: FloatArray
+    def pen(self, width: int) -> Pen:
+        """Return what the layer is drawn with, given the width of its lines."""
+        return Pen(rgb(self.color), width, self.dashed)
 
 
 @dataclass(frozen=True)
@@ -152,24 +125,6 @@ class Picture:
 
     data: bytes
     labels_left_out: int
-
-
-def label_text(class_id: str, score: float) -> str:
-    """
-    Write class and score in one short line; an empty class or a NaN score is left out.
-
-    Examples
-    --------
-    >>> label_text('tanker', 0.876), label_text('', 0.5), label_text('tanker', float('nan'))
-    ('tanker 0.88', '0.50', 'tanker')
-    >>> label_text('', 1e308)
-    '1e+308'
-    """
-    shown = ''.join(c if c.isprintable() else '?' for c in class_id[: _MAX_TEXT_LENGTH + 1])
-    if len(shown) > _MAX_TEXT_LENGTH:
-        shown = shown[: _MAX_TEXT_LENGTH - 1] + '…'
-    number = f'{score:.2f}' if abs(score) < _MAX_PLAIN_SCORE else f'{score:.3g}'
-    return ' '.join(filter(None, (shown, '' if math.isnan(score) else number)))
 
 
 def lines(corners: FloatArray) -> FloatArray:
@@ -225,11 +180,11 @@ def draw(image: WireImage, layers: Sequence[Layer], labels: Labels | None, style
     canvas = ImageDraw.Draw(picture)
     width = style.line_width_for(picture.size)
     for layer in layers:
-        outline(canvas, layer.corners * factor, Pen(rgb(layer.color), width, layer.dashed))
+        outline(canvas, layer.corners * factor, layer.pen(width))
     taken = _explain(canvas, layers, style) if style.legend else _NOWHERE
     left_out = 0
     if labels is not None and style.labels:
-        left_out = _write(canvas, labels, factor, style, taken)
+        left_out = _write(canvas, labels.scaled(factor), style, taken)
     file = io.BytesIO()
     try:
         # Thin lines are mostly colour, which JPEG otherwise halves.
@@ -287,7 +242,7 @@ def _explain(canvas: Any, layers: Sequence[Layer], style: Style) -> FloatArray:
     picture = canvas.im.size
     width, text_size = style.line_width_for(picture), style.text_size_for(picture)
     named = [layer for layer in reversed(layers) if layer.title]
-    texts = [_text(layer.title, text_size) for layer in named]
+    texts = [text_mask(layer.title, text_size) for layer in named]
     margin = text_size // 2
     key = 2 * text_size
     row = max((text.height for text in texts), default=0) + 2 * width
@@ -295,7 +250,7 @@ def _explain(canvas: Any, layers: Sequence[Layer], style: Style) -> FloatArray:
         key + 2 * margin + max((text.width for text in texts), default=0),
         len(named) * row + margin,
     )
-    if not named or any(np.array(size) > _MAX_LEGEND_SHARE * np.array(picture)):
+    if not named or not has_room_for_legend(size, picture):
         return _NOWHERE
     left, top = 0, picture[1] - size[1]
     canvas.rectangle((left, top, left + size[0] - 1, picture[1] - 1), _LEGEND_GROUND)
@@ -305,73 +260,20 @@ def _explain(canvas: Any, layers: Sequence[Layer], style: Style) -> FloatArray:
         x0, y0 = left + margin, y + row // 4
         x1, y1 = x0 + key - margin // 2, y + row - row // 4
         box = np.array([[(x0, y0), (x1, y0), (x1, y1), (x0, y1)]], float)
-        outline(canvas, box, Pen(rgb(layer.color), width, layer.dashed))
+        outline(canvas, box, layer.pen(width))
         canvas.bitmap((left + margin + key, y + width), text, _LEGEND_INK)
     return np.array([[left, top, left + size[0], picture[1]]], float)
 
 
-def _write(
-    canvas: Any, labels: Labels, factor: FloatArray, style: Style, covered: FloatArray
-) -> int:
+def _write(canvas: Any, labels: Labels, style: Style, covered: FloatArray) -> int:
     """Write the labels that have room clear of `covered`, best first; return how many have none."""
     size = canvas.im.size
-    text_size, gap = style.text_size_for(size), style.line_width_for(size)
-    background = rgb(labels.color)
-    ink = ink_on(background)
-    low, high = (labels.corners * factor).min(axis=1), (labels.corners * factor).max(axis=1)
-    visible = finite(labels.corners) & ((high > 0.0) & (low < size)).all(axis=1)
-    # A label must hide neither another one nor the middle of a box.
-    middles = (low[visible] + high[visible]) / 2.0
-    order = np.argsort(-np.nan_to_num(labels.scores), kind='stable')
-    rows = [row for row in order.tolist() if visible[row] and labels.texts[row]]
-    taken = np.concatenate((np.hstack((middles, middles)), covered, np.zeros((len(rows), 4))))
-    first = count = len(middles) + len(covered)
-    for row in rows[:_MAX_LABELS]:
-        text = _text(labels.texts[row], text_size)
-        place = _place(text.size, low[row] - gap, high[row] + gap, size, taken[:count])
-        if place is None:
-            continue
-        x, y = place
-        taken[count] = x, y, x + text.width, y + text.height
-        count += 1
-        canvas.rectangle((x, y, x + text.width - 1, y + text.height - 1), background)
-        canvas.bitmap((x, y), text, ink)
-    return len(rows) - (count - first)
-
-
-def _place(
-    text: Size, low: FloatArray, high: FloatArray, size: Size, taken: FloatArray
-) -> tuple[int, int] | None:
-    """Find room above or below a box, inside the picture and clear of `taken`, (K, 4)."""
-    width, height = text
-    left, top, right, bottom = taken.T
-    x = int(min(max(low[0], 0.0), max(size[0] - width, 0)))
-    for preferred in (int(low[1]) - height, int(high[1]) + 1):
-        y = min(max(preferred, 0), max(size[1] - height, 0))
-        covers = (left < x + width) & (right > x) & (top < y + height) & (bottom > y)
-        if not covers.any():
-            return x, y
-    return None
-
-
-@lru_cache(maxsize=_MAX_CACHED_TEXTS)
-def _text(text: str, size: int) -> Any:
-    """Write a text with a margin, as a Pillow image of mode L: 255 where there is ink."""
-    from PIL import Image
-    from PIL import ImageDraw
-
-    font = _font(size)
-    margin = max(1, size // 6)
-    ascent, descent = font.getmetrics()
-    width = math.ceil(font.getlength(text)) + 2 * margin
-    mask = Image.new('L', (width, ascent + descent + margin // 2))
-    ImageDraw.Draw(mask).text((margin, 0), text, 255, font)
-    return mask
-
-
-@lru_cache(maxsize=8)
-def _font(size: int) -> Any:
-    """Load the font that comes with Pillow."""
-    from PIL import ImageFont
-
-    return ImageFont.load_default(size)
+    ground = rgb(labels.color)
+    ink = ink_on(ground)
+    sizes = style.text_size_for(size), style.line_width_for(size)
+    placed, left_out = place_labels(labels, size, *sizes, covered)
+    for label in placed:
+        x, y = label.corner
+        canvas.rectangle((x, y, x + label.mask.width - 1, y + label.mask.height - 1), ground)
+        canvas.bitmap((x, y), label.mask, ink)
+    return left_out

@@ -55,15 +55,25 @@ class Pen:
         return [(ink, rim, outside), (self.color, width, _edges(corners, 0.0, width))]
 
 
+def visible_strokes(
+    corners: FloatArray, pen: Pen, size: tuple[int, int]
+) -> list[tuple[Color, int, FloatArray]]:
+    """List colour, width and lines, (M, 2, 2), of what shows of boxes, (N, 4, 2), in a picture."""
+    strokes = []
+    for color, width, edges in pen.strokes(corners[finite(corners)]):
+        margin = np.full(2, float(width))
+        within = clipped(edges, -margin, np.array(size) + margin)
+        if pen.dashed:
+            within = dashes(within, _WIDTHS_PER_DASH * pen.width)
+        strokes.append((color, width, within))
+    return strokes
+
+
 def outline(canvas: Any, corners: FloatArray, pen: Pen) -> None:
     """Draw the edges of boxes, (N, 4, 2), in pixels of the picture, with a rim around each box."""
     # First all rims: that of one box must not cover the line of another.
-    for ink, thickness, edges in pen.strokes(corners[finite(corners)]):
-        margin = np.full(2, float(thickness))
-        within = clipped(edges, -margin, np.array(canvas.im.size) + margin)
-        if pen.dashed:
-            within = dashes(within, _WIDTHS_PER_DASH * pen.width)
-        for x0, y0, x1, y1 in np.floor(within).reshape(-1, 4).tolist():
+    for ink, thickness, edges in visible_strokes(corners, pen, canvas.im.size):
+        for x0, y0, x1, y1 in np.floor(edges).reshape(-1, 4).tolist():
             canvas.line((x0, y0, x1, y1), ink, thickness)
 
 

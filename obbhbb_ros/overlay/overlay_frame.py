@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-An image and its layers, as a picture and as markers. No ROS in here.
+An image and its layers, as a picture, as markers and as annotations. No ROS in here.
 
     frame = OverlayFrame(image, {'boxes': boxes}, settings)
     jpeg = frame.picture().data
@@ -18,13 +18,15 @@ from obbhbb_ros.colors import DASHED_LAYERS
 from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.input_frame import InputFrame
-from obbhbb_ros.overlay.drawing import Labels
+from obbhbb_ros.overlay.annotating import Annotations
+from obbhbb_ros.overlay.annotating import annotate
 from obbhbb_ros.overlay.drawing import Layer
 from obbhbb_ros.overlay.drawing import Picture
 from obbhbb_ros.overlay.drawing import Style
 from obbhbb_ros.overlay.drawing import draw
-from obbhbb_ros.overlay.drawing import label_text
 from obbhbb_ros.overlay.drawing import lines
+from obbhbb_ros.overlay.lettering import Labels
+from obbhbb_ros.overlay.lettering import label_text
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image_marker import line_list
@@ -99,16 +101,14 @@ class OverlayFrame:
         obbhbb_ros.overlay.drawing.OverlayError
             If the image cannot be drawn on.
         """
-        layers = [
-            Layer(
-                self._settings.colors[layer],
-                corners,
-                title=layer.replace('_', ' '),
-                dashed=layer in DASHED_LAYERS,
-            )
-            for layer, corners in self._corners.items()
-        ]
+        layers = [self._layer(layer) for layer in self._corners]
         return draw(self.image, layers, self._labels(), self._settings.style)
+
+    def annotations(self) -> Annotations:
+        """List lines and texts; a layer that did not come has lines without points."""
+        layers = [self._layer(layer) for layer in self._settings.colors]
+        size = self.image.width, self.image.height
+        return annotate(size, layers, self._labels(), self._settings.style)
 
     def marker(self, layer: str) -> bytes:
         """Write a layer as a serialized marker; a layer that did not come has no lines."""
@@ -132,6 +132,15 @@ class OverlayFrame:
             boxes = frame.oriented_boxes(detections.xywhr(), detections.polygons, size)
             corners[layer] = np.where(boxes.valid[:, None, None], boxes.corners, np.nan)
         return corners
+
+    def _layer(self, layer: str) -> Layer:
+        """Say how a layer is drawn."""
+        return Layer(
+            self._settings.colors[layer],
+            self._corners.get(layer, _NOWHERE),
+            title=layer.replace('_', ' '),
+            dashed=layer in DASHED_LAYERS,
+        )
 
     def _labels(self) -> Labels | None:
         """Write class and score of the detections, else of the boxes, else of the crop regions."""

@@ -21,6 +21,14 @@ from obbhbb_ros.settings.parameters import ParameterTable
 from obbhbb_ros.settings.parameters import rows_of
 from obbhbb_ros.settings.parameters import settings_of
 
+ANNOTATIONS = Parameter(
+    'annotations',
+    False,
+    'Publish `overlay/annotations` for Foxglove: lines and texts, which `overlay/markers` cannot '
+    'hold. Needs the ROS package foxglove_msgs.',
+    read_only=True,
+)
+
 
 @dataclass(frozen=True)
 class OverlaySettings:
@@ -50,6 +58,7 @@ OVERLAY = ParameterTable(
         *COMMON_WITH_INPUT,
         *DETECTION_INPUT,
         IMAGE_TRANSPORT,
+        ANNOTATIONS,
         Parameter(
             'layers',
             list(LAYER_COLORS),

@@ -416,8 +416,7 @@ def test_the_topics_of_a_page_are_those_of_the_security_policy(node: str) -> Non
             '/parameter_events',
             '/rosout',
         }
-        # Instead of `detections`, which the policy has.
-        named = set(named_in(page, f'## {title} topics\n')) - {'polygons'}
+        named = set(named_in(page, f'## {title} topics\n'))
         assert named == allowed
 
 

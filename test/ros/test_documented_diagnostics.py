@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from lifecycle_msgs.msg import Transition
 from ships import detections
 from ships import fleet
 from vision_msgs.msg import Detection2DArray
+
+from obbhbb_ros.nodes.node_topics import message_class
 
 # These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once
@@ -98,7 +101,12 @@ def test_every_key_of_the_chip_node_is_explained(site: Site) -> None:
 
 
 def test_every_key_of_the_overlay_node_is_explained(site: Site) -> None:
-    with OverlayNode(site, {'max_wait': 0.1, 'max_age': 0.1}) as node:
+    has_foxglove = bool(find_spec('foxglove_msgs'))
+    parameters = {'max_wait': 0.1, 'max_age': 0.1, 'annotations': has_foxglove}
+    with OverlayNode(site, parameters) as node:
+        if has_foxglove:
+            kind = message_class('foxglove_msgs', 'ImageAnnotations')
+            node.peer.collect(kind, 'overlay/annotations')
         node.connect('boxes', 'crop_regions')
         pixels = np.zeros((8, 8), np.uint8)
         node.send_layer('boxes', [OUTSIDE], node.header())
@@ -106,6 +114,8 @@ def test_every_key_of_the_overlay_node_is_explained(site: Site) -> None:
         node.send(pixels, 'strange')
         node.publish('image', b'\0\1\0\0' + bytes(5))
         node.wait(lambda: node.counts()['frames_dropped.no_image'], 'a lonely layer')
+        if has_foxglove:
+            node.wait(lambda: node.counts()['annotations_sent'], 'annotations')
         keys = values_of(node.next_report())
         assert {
             'messages_unreadable',

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 from collections.abc import Callable
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,12 +25,16 @@ from polygon_msgs.msg import Point2D
 from polygon_msgs.msg import Polygon2D
 from polygon_msgs.msg import Polygon2DCollection
 from sensor_msgs.msg import CompressedImage
+from sensor_msgs.msg import Image
+from ships import detections
 from std_msgs.msg import Header
+from vision_msgs.msg import Detection2DArray
 from visualization_msgs.msg import ImageMarker
 
 from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import encode
+from obbhbb_ros.nodes.play_detections import image_message
 
 # Long; what depends on the versions of NumPy and Pillow is tested without DDS as well.
 pytestmark = pytest.mark.once
@@ -219,11 +225,71 @@ def test_markers_hold_the_edges_of_each_layer_in_pixels_of_the_image(node: Overl
         points = {(point.x, point.y) for point in marker.points}
         assert len(marker.points) == 8
         assert points == {(x + i * width / 2, y + j * height / 2) for i in (-1, 1) for j in (-1, 1)}
-        color = marker.outline_color
-        rgb = [round(255 * value) for value in (color.r, color.g, color.b)]
-        assert '#' + bytes(rgb).hex() == LAYER_COLORS[layer]
-        assert (color.a, marker.scale) == (1.0, 1.0)
+        assert color_of(marker.outline_color) == LAYER_COLORS[layer]
+        assert (marker.outline_color.a, marker.scale) == (1.0, 1.0)
     assert {each.ns for each in alone} == {'boxes'}
+
+
+def color_of(color: Any) -> str:
+    rgb = [round(255 * value) for value in (color.r, color.g, color.b)]
+    return '#' + bytes(rgb).hex()
+
+
+def test_annotations_hold_the_layers_with_labels_and_legend(
+    start: Callable[..., OverlayNode],
+) -> None:
+    foxglove = pytest.importorskip('foxglove_msgs.msg')
+    # At first nobody looks at anything else.
+    node = start(look=False, annotations=True, layers=['boxes', 'detections'], scale=0.5)
+    annotations = node.peer.collect(foxglove.ImageAnnotations, 'overlay/annotations')
+    publishers = {layer: node.peer.publisher(Detection2DArray, layer) for layer in ROWS}
+    images = node.peer.publisher(Image, 'image')
+    pixels, headers = np.full((400, 400, 3), 128, np.uint8), []
+
+    def send() -> None:
+        headers.append(node.header())
+        for layer, rows in (ROWS | {'boxes': ()}).items():
+            message = detections(rows, class_id='tanker')
+            message.header = headers[-1]
+            publishers[layer].publish(message)
+        images.publish(image_message('rgb8', pixels, headers[-1]))
+
+    node.send_until(send, lambda: annotations, 'annotations')
+    (message,) = annotations[:1]
+    every = [*message.points, *message.texts]
+    stamps = [each.timestamp for each in (message, *every) if hasattr(each, 'timestamp')]
+    assert all(stamp in [header.stamp for header in headers] for stamp in stamps)
+    assert all(stamp == stamps[0] for stamp in stamps)
+    # A layer without boxes has lines without points.
+    assert [len(each.points) for each in message.points] == [0, 0, 8, 8]
+    rim, line = message.points[2:]
+    assert line.type == foxglove.PointsAnnotation.LINE_LIST
+    assert (color_of(rim.outline_color), color_of(line.outline_color)) == ('#ffffff', '#000000')
+    corners = np.array([(point.x, point.y) for point in line.points])
+    np.testing.assert_allclose(corners.mean(axis=0), (100, 50))
+    np.testing.assert_allclose(np.ptp(corners, axis=0), (40, 20), atol=1.0)
+    assert [each.text for each in message.texts] == ['boxes', 'detections', 'tanker 0.50']
+    label = message.texts[2]
+    assert 78 <= label.position.x <= 80
+    assert label.position.y < 41
+    assert color_of(label.background_color) == LAYER_COLORS['detections']
+    counts = node.counts()
+    assert counts['annotations_sent']
+    assert not counts.get('pictures_sent')
+    assert not counts.get('markers_sent')
+
+
+def test_annotations_without_their_package_are_a_reason_not_to_start(
+    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / 'foxglove_msgs.py').write_text('raise ModuleNotFoundError("no foxglove_msgs")')
+    paths = [str(tmp_path), *filter(None, [os.environ.get('PYTHONPATH')])]
+    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(paths))
+    with Node(site, 'overlay') as node:
+        node.start(parameters={'annotations': True})
+        assert node.process.wait() == 1
+        reason = 'cannot start: ImageAnnotations needs the ROS package foxglove_msgs'
+        assert reason in node.process.log
 
 
 def test_a_layer_without_boxes_sends_a_marker_without_lines(node: OverlayNode) -> None:

@@ -101,6 +101,7 @@ OVERLAY_CONTRACT = {
     'input_height',
     'input_fit',
     'image_transport',
+    'annotations',
     'layers',
     'labels',
     'legend',

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,6 +15,7 @@ from harness import Peer
 from harness import Site
 from sensor_msgs.msg import CompressedImage
 
+from obbhbb_ros.limits import Choices
 from obbhbb_ros.settings.all_nodes import NODE_TABLES
 
 # What it tests depends on rclpy, which is the same in all environments.
@@ -21,6 +24,8 @@ pytestmark = pytest.mark.once
 POLICY = ElementTree.parse(Path(__file__).parents[2] / 'config' / 'security' / 'policy.xml')
 MANAGED = ('obb_to_hbb', 'chip_extractor', 'downlink', 'overlay')
 NODES = (*MANAGED, 'play_detections')
+# On these the topics of a node depend.
+TOPIC_PARAMETERS = ('input_type', 'output_type', 'image_transport')
 
 
 def allowed(node: str, kind: str, action: str) -> set[str]:
@@ -35,31 +40,63 @@ def absolute(name: str, node: str) -> str:
     return f'/{node}/{name[2:]}' if name.startswith('~/') else f'/{name.lstrip("/")}'
 
 
+def variants(node: str) -> list[dict[str, Any]]:
+    """List parameters with which a node uses all the topics that it can use."""
+    missing = () if find_spec('yolo_msgs') else ('DetectionArray',)
+    choices: dict[str, Any] = {
+        row.name: [value for value in row.limits.words if value not in missing]
+        for row in NODE_TABLES[node].rows
+        if isinstance(row.limits, Choices) and row.name in TOPIC_PARAMETERS
+    }
+    if node == 'overlay' and find_spec('foxglove_msgs'):
+        choices['annotations'] = (True,)
+    return [
+        {name: values[i % len(values)] for name, values in choices.items()}
+        for i in range(max(map(len, choices.values()), default=1))
+    ]
+
+
 @pytest.mark.parametrize('node', NODES)
-def test_the_policy_has_the_names_of_the_running_node(
+def test_the_policy_has_the_names_of_the_running_node_whatever_its_parameters(
     site: Site, node: str, tmp_path: Path
 ) -> None:
-    # With everything that a node may use.
     folders = {'spool.path': tmp_path / 'spool', 'outbox.path': tmp_path / 'outbox'}
-    parameters = {
-        name: path for name, path in folders.items() if name in NODE_TABLES[node].parameters()
-    }
-    with site.start(node, parameters=parameters), Peer(site.context, '/watching') as peer:
+    used = {name: path for name, path in folders.items() if name in NODE_TABLES[node].parameters()}
+    spaces = {f'/variant{i}': given for i, given in enumerate(variants(node))}
+    with ExitStack() as stack:
+        peer = stack.enter_context(Peer(site.context, '/watching'))
         graph = peer.node
-        # The overlay subscribes to nothing before somebody looks.
-        peer.collect(CompressedImage, '/overlay/compressed')
+        for space, given in spaces.items():
+            stack.enter_context(site.start(node, parameters=used | given, namespace=space))
+            # The overlay subscribes to nothing before somebody looks.
+            peer.collect(CompressedImage, f'{space}/overlay/compressed')
         lists: dict[tuple[str, str], Callable[..., Any]] = {
             ('topic', 'publish'): graph.get_publisher_names_and_types_by_node,
             ('topic', 'subscribe'): graph.get_subscriber_names_and_types_by_node,
             ('service', 'reply'): graph.get_service_names_and_types_by_node,
             ('service', 'request'): graph.get_client_names_and_types_by_node,
         }
-        peer.spin_until(lambda: (node, '/') in graph.get_node_names_and_namespaces(), node)
-        for (kind, action), names in lists.items():
+
+        def names(kind: str, action: str) -> set[str]:
+            """Return the names of all variants, as without namespace."""
+            return {
+                name.removeprefix(space)
+                for space in spaces
+                for name, _ in lists[kind, action](node, space)
+            }
+
+        def all_run() -> bool:
+            running = graph.get_node_names_and_namespaces()
+            return all((node, space) in running for space in spaces)
+
+        peer.spin_until(all_run, f'{len(spaces)} times {node}')
+        for kind, action in lists:
             expected = allowed(node, kind, action)
+            if not find_spec('foxglove_msgs'):
+                expected.discard('/overlay/annotations')
             peer.spin_until(
-                lambda names=names, expected=expected: {n for n, _ in names(node, '/')} == expected,
-                f'{expected} in the graph, not {names(node, "/")}',
+                lambda kind=kind, action=action, expected=expected: names(kind, action) == expected,
+                f'{expected} in the graph, not {names(kind, action)}',
             )
 
 

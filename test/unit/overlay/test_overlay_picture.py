@@ -15,14 +15,14 @@ from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.colors import ORIENTED_COLOR
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
 from obbhbb_ros.geometry.boxes import OrientedBoxes
-from obbhbb_ros.overlay.drawing import Labels
 from obbhbb_ros.overlay.drawing import Layer
 from obbhbb_ros.overlay.drawing import OverlayError
 from obbhbb_ros.overlay.drawing import Style
 from obbhbb_ros.overlay.drawing import draw
-from obbhbb_ros.overlay.drawing import label_text
 from obbhbb_ros.overlay.drawing import lines
 from obbhbb_ros.overlay.drawing import picture_of
+from obbhbb_ros.overlay.lettering import Labels
+from obbhbb_ros.overlay.lettering import label_text
 from obbhbb_ros.overlay.outlines import Color
 from obbhbb_ros.overlay.outlines import clipped
 from obbhbb_ros.overlay.outlines import dashes
