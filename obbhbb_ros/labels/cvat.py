@@ -15,7 +15,7 @@ CVAT XML 1.1 ("CVAT for images"): one file of many images, in pixels.
 ``rotation`` turns a box about its centre, degrees clockwise as seen; a box that is not turned is
 also the reference box. The oriented box of polygons and masks is their minimum rotated rectangle,
 and the polygon or the convex hull of the mask is the hull, unless it has four corners. Other
-shapes, and the tracks of videos, are reported one by one and not read.
+shapes, and the tracks of videos, are reported one by one and not read. Attributes are properties.
 """
 
 from __future__ import annotations
@@ -71,14 +71,20 @@ def _parse(record: Shape) -> shapes.Outlined:
     if element.tag == 'track':
         raise ValueError('tracks of a video are not read: export as "CVAT for images"')
     label = _attribute(element, 'label')
+    box = Box((), label, properties=_properties(element))
     if element.tag == 'box':
         corners, reference = shapes.turned_box(
             _numbers(element, *BOUNDS), parse_number(element.get('rotation', '0'))
         )
-        return shapes.Outlined(image, Box(corners, label, reference=reference))
+        return shapes.Outlined(image, box._replace(corners=corners, reference=reference))
     if element.tag not in RINGS:
         raise ValueError(f'a shape <{element.tag}> is not read: only box, polygon and mask')
-    return shapes.Outlined(image, Box((), label), [RINGS[element.tag](element)])
+    return shapes.Outlined(image, box, [RINGS[element.tag](element)])
+
+
+def _properties(element: Element) -> dict[str, str]:
+    attributes = element.iterfind('attribute')
+    return {item.get('name', ''): (item.text or '').strip() for item in attributes}
 
 
 def _polygon(element: Element) -> FloatArray:

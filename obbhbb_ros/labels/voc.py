@@ -25,8 +25,8 @@ The oriented box is one of these; ``bndbox`` beside it is then the reference box
   reference box.
 
 Without any, the upright box of ``bndbox`` is read. An object with another field for an angle is
-refused. Difficulty and parts of objects are not read. The image is named after the label file,
-since ``filename`` is often that of another image.
+refused. Other attributes are properties; parts of objects are not read. The image is named after
+the label file, since ``filename`` is often that of another image.
 
 Coordinates are written to VOC with their fractions: rounding would undo the conversion. ``size`` is
 written if it is known. VOC has no ids and scores: these are not written.
@@ -51,6 +51,7 @@ from obbhbb_ros.labels.label_file import NO_REFERENCE
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
+from obbhbb_ros.labels.text import parse_number
 from obbhbb_ros.labels.xml_files import has_any
 from obbhbb_ros.labels.xml_files import numbers_of
 from obbhbb_ros.labels.xml_files import read_objects
@@ -85,7 +86,8 @@ def _parse(long_edge: bool, element: Element) -> shapes.Outlined:
     name = text_of(element, 'name')
     if not name:
         raise ValueError('no <name>')
-    bounds, rotation = element.find('bndbox'), _rotation(element)
+    bounds, attributes = element.find('bndbox'), _attributes(element)
+    rotation = _rotation(attributes.pop('rotation', '0'))
     reference: Sequence[float] = NO_REFERENCE if bounds is None else numbers_of(bounds, BOUNDS)
     corners: Sequence[float] = ()
     rings = []
@@ -104,7 +106,7 @@ def _parse(long_edge: bool, element: Element) -> shapes.Outlined:
     else:
         rings = [shapes.ring_of_pairs(numbers_of(drawn, _points(len(drawn) // 2)))]
     difficulty = parse_difficulty(text_of(element, 'difficult'))
-    box = Box(corners, name, reference=reference, difficulty=difficulty)
+    box = Box(corners, name, reference=reference, difficulty=difficulty, properties=attributes)
     return shapes.Outlined(IMAGE, box, rings)
 
 
@@ -121,12 +123,16 @@ def _points(count: int) -> list[str]:
     return [f'{axis}{number}' for number in range(1, count + 1) for axis in 'xy']
 
 
-def _rotation(element: Element) -> float:
-    """Return the attribute of that name, degrees."""
-    for attribute in element.iterfind('attributes/attribute'):
-        if text_of(attribute, 'name') == 'rotation':
-            return numbers_of(attribute, ('value',))[0]
-    return 0.0
+def _attributes(element: Element) -> dict[str, str]:
+    attributes = element.iterfind('attributes/attribute')
+    return {text_of(attribute, 'name'): text_of(attribute, 'value') for attribute in attributes}
+
+
+def _rotation(text: str) -> float:
+    try:
+        return parse_number(text)
+    except ValueError as error:
+        raise ValueError(f'attribute rotation: {error}') from None
 
 
 def _refuse_angles(*elements: Element) -> None:

@@ -63,6 +63,13 @@ def test_images_of_one_name_and_without_shapes_stay_apart(put: Put) -> None:
     assert [len(image.class_ids) for image in images] == [1, 0, 2]
 
 
+def test_attributes_are_properties(put: Put) -> None:
+    heading = '<attribute name="heading">30</attribute></box>'
+    path = put('a.xml', _cvat(_image(TURNED.replace('</box>', heading), MASK)))
+    (labels,) = read_labels(path)
+    assert labels.extras.properties == {'heading': ('30', None)}
+
+
 def test_a_tag_of_an_image_is_no_box(put: Put) -> None:
     (labels,) = read_labels(put('a.xml', _cvat(_image('<tag label="night"></tag>', TURNED))))
     assert labels.class_ids == ('ship',)

@@ -81,6 +81,11 @@ def test_an_attribute_rotation_of_0_leaves_the_box_upright(put: Put) -> None:
     assert labels.corners[0].tolist() == [[300, 280], [500, 280], [500, 320], [300, 320]]
 
 
+def test_other_attributes_are_properties(put: Put) -> None:
+    (labels,) = read_labels(put('P1.xml', _voc(UNTURNED + ROTATION.format(30.0), UNTURNED)))
+    assert labels.extras.properties == {'occluded': ('0', None)}
+
+
 def test_without_polarization_a_robndbox_has_its_angle_along_w(put: Put) -> None:
     (labels,) = read_labels(put('P1.xml', _voc(RSDD)))
     np.testing.assert_allclose(labels.boxes().theta % np.pi, np.radians(120))
@@ -101,7 +106,7 @@ def test_a_polygon_of_more_points_is_the_hull(put: Put) -> None:
 @pytest.mark.parametrize(
     ('body', 'message'),
     [
-        (UNTURNED + ROTATION.format('x'), "<value>: 'x' is not a number"),
+        (UNTURNED + ROTATION.format('x'), "attribute rotation: 'x' is not a number"),
         (UNTURNED + ROTATION.format('nan'), 'not a finite number'),
         (UNTURNED + POLYGON + ROTATION.format(30), 'a rotation of 30 beside <polygon>'),
         (UNTURNED + '<angle>30</angle>', '<angle> in <object>: its unit and sense are unknown'),
