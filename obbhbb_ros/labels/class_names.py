@@ -50,7 +50,8 @@ def find_class_names(folder: Path) -> ClassNames:
         return ClassNames()
     try:
         status = path.stat()
-        return ClassNames(path, _read_names(path, status.st_mtime_ns, status.st_size))
+        names = _read_names(path, status.st_mtime_ns, status.st_size)
+        return ClassNames(path, names) if names else ClassNames()
     except LabelError as error:
         raise FileError(*error.args) from None
 
@@ -89,9 +90,8 @@ def _names_in_yaml(path: Path) -> tuple[str, ...]:
         raise LabelError(path, None, f'not YAML: {problem}') from None
     except RecursionError:
         raise LabelError(path, None, 'not class names: YAML nested too deeply') from None
-    names = document.get('names') if isinstance(document, dict) else None
     try:
-        return _names_in_order(names)
+        return _names_in_order(document.get('names', []) if isinstance(document, dict) else [])
     except ValueError as error:
         raise LabelError(path, None, f"'names' {error}") from None
 

@@ -16,6 +16,7 @@ from typing import Any
 from obbhbb_ros.labels.image_labels import ImageSize
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_file import Record
+from obbhbb_ros.labels.text import packing
 
 TOKEN = re.compile(r'"((?:[^"\\]|\\.)*)("|$)|[][{},:]', re.DOTALL)
 MAX_LEVEL = 4
@@ -40,6 +41,8 @@ def read_json(file: LabelFile, shorten: Callable[[dict[str, Any]], Any] | None =
     object.
     """
     data = file.path.read_bytes()
+    if problem := packing(data):
+        raise file.error(problem)
     try:
         return json.loads(data.decode('utf-8-sig'), object_hook=shorten)
     except json.JSONDecodeError as error:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import re
 from collections.abc import Callable
 from collections.abc import Collection
 from collections.abc import Iterable
@@ -14,6 +15,14 @@ from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.text import write_lines
 
 CLASSES_FILE = 'classes.txt'
+# Folders of labels in the data sets of Ultralytics, Label Studio, DOTA, Pascal VOC and Darknet.
+LABEL_FOLDERS = re.compile('labels|labelTxt.*|Annotations|obj_.*_data')
+NO_FOLDERS = re.compile(r'\.|(images|JPEGImages|ImageSets|Segmentation\w+)$')
+NO_LABELS = re.compile(
+    rf'\.|({re.escape(CLASSES_FILE)}|labelmap\.txt|notes\.json)$|(readme|license)\b', re.IGNORECASE
+)
+MAX_DEPTH = 3
+LIST_BYTES = 4096
 IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.tif', '.tiff', '.bmp', '.webp', '.jp2')
 
 
@@ -21,10 +30,12 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
     """
     List the label files of a path, at least one, sorted by name.
 
-    The path is a file of any name, or a folder with label files directly in it. Suffixes are in
-    lower case. Hidden files and ``classes.txt`` are not label files.
-    Raises FileNotFoundError if there is no such path, ValueError for a pipe or a device, and
-    LabelError if a folder holds no label file.
+    The path is a file of any name, or a folder with label files directly in it, or else in its
+    sub-folders: the root of a data set as tools export it, whose ``labels``, ``labelTxt``,
+    ``Annotations`` or ``obj_train_data`` are read where there is one of them. Suffixes are in lower
+    case. Hidden files, lists of classes, read-me files and, in a root, lists of images are not
+    label files. Raises FileNotFoundError if there is no such path, ValueError for a pipe or a
+    device, and LabelError if a folder holds no label file, or a root more than one folder of them.
     """
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, 'no such label file or folder', str(path))
@@ -33,18 +44,56 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
     if not path.is_dir():
         # A pipe can be read only once, and detecting the format would read it first.
         raise ValueError(f'{path}: neither a regular file nor a folder')
-    files = sorted(
-        file
-        for file in path.iterdir()
-        if file.suffix.lower() in suffixes
-        and file.is_file()
-        and not file.name.startswith('.')
-        and file.name != CLASSES_FILE
-    )
+    files = _files_in(path, suffixes)
+    roots = [folder for folder in _folders_in(path) if LABEL_FOLDERS.fullmatch(folder.name)]
+    if not files or (roots and all(map(_is_list_of_images, files))):
+        files = _files_below(path, roots, suffixes)
     if not files:
         expected = ', '.join(sorted(suffixes))
-        raise LabelError(path, None, f'no label file in this folder (looked for {expected})')
+        raise LabelError(
+            path, None, f'no label file in this folder or below (looked for {expected})'
+        )
     return files
+
+
+def _files_below(path: Path, roots: list[Path], suffixes: Collection[str]) -> list[Path]:
+    """List the label files in the folders of labels, or in all sub-folders if there are none."""
+    by_folder = {root.name: _files_of_tree(root, suffixes, MAX_DEPTH) for root in roots}
+    several = [name for name, files in by_folder.items() if files]
+    if len(several) > 1:
+        raise LabelError(path, None, f'label files in {" and ".join(several)}: name one of them')
+    if several:
+        return by_folder[several[0]]
+    return _files_of_tree(path, suffixes, MAX_DEPTH)
+
+
+def _files_of_tree(folder: Path, suffixes: Collection[str], depth: int) -> list[Path]:
+    files = _files_in(folder, suffixes)
+    for below in _folders_in(folder) if depth else ():
+        files += _files_of_tree(below, suffixes, depth - 1)
+    return files
+
+
+def _files_in(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    return sorted(
+        file
+        for file in folder.iterdir()
+        if file.suffix.lower() in suffixes and file.is_file() and not NO_LABELS.match(file.name)
+    )
+
+
+def _folders_in(folder: Path) -> list[Path]:
+    return sorted(
+        below for below in folder.iterdir() if below.is_dir() and not NO_FOLDERS.match(below.name)
+    )
+
+
+def _is_list_of_images(file: Path) -> bool:
+    with file.open('rb') as stream:
+        lines = stream.read(LIST_BYTES).decode(errors='replace').split('\n')
+    # The last one may be cut off.
+    entries = [line.strip().lower() for line in lines[:-1] or lines if line.strip()]
+    return bool(entries) and all(entry.endswith(IMAGE_SUFFIXES) for entry in entries)
 
 
 def target_files(

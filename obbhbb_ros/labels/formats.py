@@ -42,6 +42,8 @@ from obbhbb_ros.labels.label_file import raise_error
 from obbhbb_ros.labels.label_format import Format
 from obbhbb_ros.labels.label_format import names
 from obbhbb_ros.labels.shapes import check_coordinates
+from obbhbb_ros.labels.text import describe_text
+from obbhbb_ros.labels.text import packing
 from obbhbb_ros.labels.unread import unread_format
 
 # Blank files have the first format of their suffix.
@@ -173,7 +175,18 @@ def _format_by_suffix(path: Path, files: Sequence[Path]) -> Format:
     blank = all(not _head(file).strip() for file in files)
     if len(candidates) == 1 or (candidates and blank):
         return next(iter(candidates.values()))
-    raise ValueError(f'{path}: cannot detect the label format: use {names(FORMATS.values())}')
+    file = next((file for file in files if _head(file).strip()), path)
+    problem = f'cannot detect the label format: {_problem(file)}'
+    raise ValueError(f'{file}: {problem}: use {names(FORMATS.values())}')
+
+
+def _problem(file: Path) -> str:
+    head = _head(file)
+    fitting = [candidate for candidate in _formats_of(file) if candidate.sniff(head)]
+    if len(fitting) > 1:
+        return f'it fits {names(fitting)}, name one of them'
+    with file.open('rb') as stream:
+        return packing(stream.read(4)) or describe_text(head)
 
 
 def _formats_of(file: Path) -> list[Format]:
@@ -198,14 +211,15 @@ def read_labels(
     on_error: OnError | None = None,
 ) -> Iterator[ImageLabels]:
     """
-    Read the labels of a file, or of the label files directly in a folder.
+    Read the labels of a file, of the label files in a folder, or of a data set.
 
     Errors in the arguments are raised by the call; files are read one by one during iteration.
 
     Parameters
     ----------
     path : path-like
-        File or folder. The files of a folder are read in the order of their names.
+        File, folder, or root of a data set, whose sub-folders are read. The files of a folder are
+        read in the order of their names.
     format : str, optional
         Name of one of `FORMATS`; detected by default.
     image_size : tuple of int, optional

@@ -20,6 +20,7 @@ import numpy as np
 from obbhbb_ros.files import write_pieces
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import FileError
 from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_file import OnError
@@ -32,14 +33,42 @@ Block: TypeAlias = tuple[Sequence[int], Sequence[str]]
 """Line numbers, counted from 1, and the lines without their ends."""
 
 
+# How files begin that are no plain text.
+PACKINGS = (
+    (b'\x1f\x8b', 'gzip-compressed: unpack it'),
+    (b'PK\x03\x04', 'a ZIP archive: unpack it'),
+    (codecs.BOM_UTF16_LE, 'UTF-16 text: save it as UTF-8'),
+    (codecs.BOM_UTF16_BE, 'UTF-16 text: save it as UTF-8'),
+)
+SHOWN = 60
+
+
+def packing(data: bytes) -> str:
+    """Say what to do with a file that is no plain text, by its beginning; '' for plain text."""
+    return next((what for mark, what in PACKINGS if data.startswith(mark)), '')
+
+
+def describe_text(head: str) -> str:
+    """Say what the beginning of a text that no format fits looks like."""
+    line = next((line.strip() for line in head.splitlines() if line.strip()), '')
+    if ',' not in line:
+        for mark, name in ((';', 'semicolons'), ('\t', 'tabs')):
+            if mark in line:
+                return f'separated by {name}: separate the columns by commas'
+    return f'the first line is {line[:SHOWN]!r}'
+
+
 def line_blocks(path: Path, on_error: OnError) -> Iterator[Block]:
     """
     Read the lines of a UTF-8 file, with or without BOM, ended by LF, CRLF or CR, block by block.
 
-    A line that is not UTF-8 is left out, and `on_error` gets a LabelError for it.
+    A line that is not UTF-8 is left out, and `on_error` gets a LabelError for it. Raises FileError
+    if the file is compressed or UTF-16.
     """
     first = 1
     with path.open('rb') as stream:
+        if problem := packing(stream.peek()[:4]):
+            raise FileError(path, None, problem)
         while data := stream.read(BLOCK_BYTES) + stream.readline():
             lines = (data if first > 1 else data.removeprefix(codecs.BOM_UTF8)).splitlines()
             try:

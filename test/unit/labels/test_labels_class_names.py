@@ -66,8 +66,6 @@ def test_a_name_in_yaml_is_text_whatever_it_looks_like(put: Put) -> None:
     [
         ('names: [tug', 'not YAML: '),
         ('names: tug', "'names' is neither a list"),
-        ('nc: 2', "'names' is neither a list"),
-        ('- tug', "'names' is neither a list"),
         ('names: [[tug], [ship]]', "'names' is neither a list"),
         ('names: {ship: 0}', "'ship', which is not the number of a class"),
         ('names: {999999999: ship}', 'not the number of a class'),
@@ -77,7 +75,7 @@ def test_a_name_in_yaml_is_text_whatever_it_looks_like(put: Put) -> None:
         ('a: &a [x, x]\nb: &b [*a, *a]\nnames: [*b, *b]', "'names' is neither a list"),
     ],
     ids=[
-        'cut off', 'text', 'absent', 'a list', 'nested', 'names to numbers', 'huge number', 'deep',
+        'cut off', 'text', 'nested', 'names to numbers', 'huge number', 'deep',
         'huge', 'not UTF-8', 'aliases',
     ],
 )  # fmt: skip
@@ -95,3 +93,9 @@ def test_a_number_without_a_name_is_malformed(put: Put) -> None:
     put('data.yaml', 'names: {0: tug, 2: ship}')
     with pytest.raises(LabelError, match=r'a\.txt:1: class 1 has no name in data\.yaml'):
         _classes(put('a.txt', LINES))
+
+
+@pytest.mark.parametrize('content', ['', 'nc: 2', 'names: []', '- tug'])
+def test_without_names_classes_are_numbers(put: Put, content: str) -> None:
+    put('data.yaml', content)
+    assert _classes(put('a.txt', LINES)) == ('1', '0')

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ import pytest
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import detect_format
+from obbhbb_ros.labels import read_labels
 
 if TYPE_CHECKING:
     from conftest import Put
@@ -89,25 +91,56 @@ def test_a_blank_file_has_the_first_format_of_its_suffix(put: Put) -> None:
 
 
 @pytest.mark.parametrize(
-    ('name', 'text'),
+    ('name', 'text', 'problem'),
     [
-        ('a.txt', 'ship\n'),
-        ('a.txt', '0 0.5 0.5 0.1\n'),
-        ('a.txt', f'{DOTA}{YOLO}'),
-        ('a.csv', 'image,what\n'),
-        ('a.xml', '<html>'),
-        ('a.json', '{}'),
-        ('labels', DOTA),
+        ('a.txt', 'ship\n', "the first line is 'ship'"),
+        ('a.txt', '0 0.5 0.5 0.1\n', "the first line is '0 0.5 0.5 0.1'"),
+        (
+            'a.txt',
+            '\n10 20 50 20 50 30 10 30 ground track field 0\n',
+            "the first line is '10 20 50 20",
+        ),
+        ('a.txt', f'{DOTA}{YOLO}', r'it fits dota \(.txt\), yolo_obb \(.txt\), name one of them'),
+        ('a.csv', 'image,what\n', "the first line is 'image,what'"),
+        ('a.csv', CSV.replace(',', ';'), 'separated by semicolons: separate the columns by commas'),
+        ('a.csv', CSV.replace(',', '\t'), 'separated by tabs: separate the columns by commas'),
+        ('a.csv', CSV.encode('utf-16'), 'UTF-16 text: save it as UTF-8'),
+        ('a.csv', gzip.compress(CSV.encode(), mtime=0), 'gzip-compressed: unpack it'),
+        ('a.txt', b'PK\x03\x04', 'a ZIP archive: unpack it'),
+        ('a.xml', '<html>', "the first line is '<html>'"),
+        ('a.json', '{}', "the first line is '{}'"),
+        ('labels', DOTA, "the first line is '2753"),
     ],
-    ids=['words', 'too few numbers', 'both', 'other table', 'other XML', 'other JSON', 'no suffix'],
 )
-def test_an_undetectable_format_is_an_error_with_the_path_and_all_formats(
-    put: Put, name: str, text: str
+def test_an_undetectable_format_is_an_error_that_says_what_the_file_is(
+    put: Put, name: str, text: str | bytes, problem: str
 ) -> None:
     path = put(name, text)
-    with pytest.raises(ValueError, match=r'cannot detect.*dota \(\.txt\).*yolo_obb.*csv') as caught:
+    expected = rf'cannot detect the label format: {problem}.*: use dota \(\.txt\).*yolo_obb.*csv'
+    with pytest.raises(ValueError, match=expected) as caught:
         detect_format(path)
-    assert str(path) in str(caught.value)
+    assert str(caught.value).startswith(f'{path}: ')
+
+
+@pytest.mark.parametrize('name', ['a.csv', 'a.txt', 'a.json', 'a.geojson'])
+@pytest.mark.parametrize(
+    ('content', 'message'),
+    [
+        (gzip.compress(b'x' * 1000, mtime=0), 'gzip-compressed'),
+        (CSV.encode('utf-16-le').join((b'\xff\xfe', b'')), 'UTF-16 text'),
+    ],
+)
+def test_a_packed_file_is_refused_by_every_reader(
+    put: Put, name: str, content: bytes, message: str
+) -> None:
+    path = put(name, content)
+    for format_name, entry in FORMATS.items():
+        if path.suffix in entry.suffixes:
+            errors: list[LabelError] = []
+            assert list(read_labels(path, format_name, on_error=errors.append)) == []
+            (error,) = errors
+            assert (error.path, error.line) == (path, None)
+            assert message in error.message
 
 
 def test_the_first_file_with_a_detectable_format_decides_for_a_folder(
@@ -150,3 +183,69 @@ def test_a_folder_without_label_files_is_an_error(tmp_path: Path) -> None:
 def test_a_missing_path_is_an_error_that_names_it(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match='nowhere'):
         detect_format(tmp_path / 'nowhere')
+
+
+YOLO_IMAGE = '0 0.5 0.5 0.1 0.1\n'
+VOC = '<annotation><object><name>ship</name></object></annotation>'
+
+
+@pytest.mark.parametrize(
+    ('files', 'expected', 'format_name'),
+    [
+        (
+            {'labels/train/b.txt': YOLO, 'labels/val/a.txt': YOLO, 'train.txt': './images/b.png\n',
+             'data.yaml': '', 'images/train/b.txt': 'ship'},
+            ['labels/train/b.txt', 'labels/val/a.txt'], 'yolo_obb',
+        ),
+        (
+            {'obj_train_data/a.txt': YOLO_IMAGE, 'train.txt': 'data/obj_train_data/a.PNG\n',
+             'obj.names': 'ship', 'obj.data': ''},
+            ['obj_train_data/a.txt'], 'yolo',
+        ),
+        (
+            {'labels/a.txt': YOLO, 'classes.txt': 'ship', 'notes.json': '{"categories": []}'},
+            ['labels/a.txt'], 'yolo_obb',
+        ),
+        (
+            {'Annotations/a.xml': VOC, 'ImageSets/Main/train.txt': 'a\n', 'labelmap.txt': '# x'},
+            ['Annotations/a.xml'], 'voc',
+        ),
+        ({'labelTxt/a.txt': DOTA, 'images/a.txt': ''}, ['labelTxt/a.txt'], 'dota'),
+        ({'train/labelTxt-v1.5/a.txt': DOTA}, ['train/labelTxt-v1.5/a.txt'], 'dota'),
+        (
+            {'train/labels/a.txt': YOLO, 'valid/labels/b.txt': YOLO, 'README.roboflow.txt': 'x y'},
+            ['train/labels/a.txt', 'valid/labels/b.txt'], 'yolo_obb',
+        ),
+        (
+            {'a.txt': DOTA, 'README.txt': 'x', 'license.txt': 'x', 'deep/b.txt': DOTA},
+            ['a.txt'], 'dota',
+        ),
+    ],
+    ids=[
+        'Ultralytics', 'Darknet', 'Label Studio', 'Pascal VOC', 'DOTA', 'DOTA parts', 'Roboflow',
+        'labels',
+    ],
+)  # fmt: skip
+def test_the_root_that_a_tool_exports_is_read_as_it_is(
+    put: Put, tmp_path: Path, files: dict[str, str], expected: list[str], format_name: str
+) -> None:
+    for name, content in files.items():
+        put(name, content)
+    assert detect_format(tmp_path) == format_name
+    images = read_labels(tmp_path, image_size=(9, 9), on_error=lambda _: None)
+    assert [image.source for image in images] == [tmp_path / name for name in expected]
+
+
+def test_a_root_with_two_folders_of_labels_needs_one_of_them_named(
+    put: Put, tmp_path: Path
+) -> None:
+    put('labelTxt-v1.0/a.txt', DOTA)
+    put('labelTxt-v1.5/a.txt', DOTA)
+    with pytest.raises(LabelError, match=r'labelTxt-v1\.0 and labelTxt-v1\.5: name one of them'):
+        detect_format(tmp_path)
+
+
+def test_labels_are_not_searched_for_too_deep(put: Put, tmp_path: Path) -> None:
+    put('a/b/c/d/a.txt', DOTA)
+    with pytest.raises(LabelError, match='no label file in this folder or below'):
+        detect_format(tmp_path)
