@@ -98,6 +98,8 @@ class FollowingSubscription:
         The message class.
     qos : QoSProfile
         The quality of service now.
+    largest : int
+        Size of the largest message that has arrived, bytes.
     """
 
     def __init__(
@@ -122,7 +124,13 @@ class FollowingSubscription:
         )
         self.qos = self._profile(usual.reliability, usual.durability)
         self.qos = self._wanted(self.publishers())
+        self.largest = 0
         self._made, self._subscription = time.monotonic(), self._make()
+
+    @property
+    def has_fixed_reliability(self) -> bool:
+        """Whether an override decides on the reliability."""
+        return bool(self._asked.reliability != ReliabilityPolicy.BEST_AVAILABLE)
 
     def publishers(self) -> list[Any]:
         """List the publishers of the topic, of any type."""
@@ -231,6 +239,7 @@ class FollowingSubscription:
             heard[key] = None
             if len(heard) > _REMEMBERED:
                 del heard[next(iter(heard))]
+        self.largest = max(self.largest, len(data))
         self._callback(data)
 
 

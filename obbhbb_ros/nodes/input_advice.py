@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which parameter or remap gives a node its input."""
+"""Which parameter or remap gives a node its input, and what helps if messages are lost."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from obbhbb_ros.wire.layouts import INPUT_TYPES
 from obbhbb_ros.wire.layouts import InputType
 
 _COMPRESSED = '/compressed'
+# Bytes from which Fast DDS loses a best-effort message whole, with its default shared memory.
+_LARGE = 500_000
 
 
 def advice_on_type(topic: str, kind: InputType | None, read: str, carried: str) -> str:
@@ -64,3 +66,50 @@ def advice_on_silence(topic: str, carriers: dict[str, str]) -> str:
     if carriers.get(topic.removesuffix(_COMPRESSED)) == 'Image' and topic.endswith(_COMPRESSED):
         return f'; set image_transport to raw to read {topic.removesuffix(_COMPRESSED)}'
     return f'; remap it to {" or ".join(sorted(carriers)[:3])}?' if carriers else ''
+
+
+def advice_on_loss(
+    topic: str, depth: int, is_reliable: bool, is_overridden: bool, largest: int, has_profile: bool
+) -> str:
+    """
+    Say what helps if the middleware loses messages.
+
+    Parameters
+    ----------
+    topic : str
+        Full name of the topic.
+    depth : int
+        Depth of the queue of the subscription.
+    is_reliable, is_overridden : bool
+        Whether the subscription is reliable, and whether an override decides that.
+    largest : int
+        Size of the largest message that has arrived, bytes; 0 for none.
+    has_profile : bool
+        Whether this process has a DDS profile.
+
+    Returns
+    -------
+    str
+        Advice that names no remedy that is in force.
+    """
+    override = f'qos_overrides.{topic}.subscription'
+    if is_reliable:
+        return (
+            'they come faster than the node reads them; '
+            f'{override}.depth above {depth} bridges bursts'
+        )
+    remedy = (
+        f'remove {override}.reliability'
+        if is_overridden
+        else 'a publisher on it is best effort; a reliable one loses none'
+    )
+    # Of a topic from which nothing arrives, the size is not known.
+    if 0 < largest < _LARGE:
+        return (
+            f'messages of up to {largest} bytes, pushed out by others or unread in time: {remedy}'
+        )
+    where = 'at the publisher, too' if has_profile else 'at both ends'
+    return (
+        f'{remedy}; messages over {_LARGE / 1e6:g} MB otherwise need the DDS profile '
+        f'config/fastdds_large.xml {where}'
+    )

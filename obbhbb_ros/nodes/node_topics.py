@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -17,6 +18,7 @@ from obbhbb_ros.nodes import internals
 from obbhbb_ros.nodes.following import OVERRIDABLE
 from obbhbb_ros.nodes.following import FollowingSubscription
 from obbhbb_ros.nodes.following import type_name
+from obbhbb_ros.nodes.input_advice import advice_on_loss
 from obbhbb_ros.nodes.input_advice import advice_on_silence
 from obbhbb_ros.nodes.input_advice import advice_on_type
 from obbhbb_ros.nodes.parts import Part
@@ -32,6 +34,8 @@ _DEPTH = 10
 # topic without a publisher is reported.
 _LOOK_PERIOD = 1.0
 _PATIENCE = 5
+# Names the file with the DDS profile.
+_PROFILE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 
 def message_type(input_type: InputType) -> Any:
@@ -249,13 +253,21 @@ class TopicInput:
     def _on_message_lost(self, status: Any) -> None:
         """Count messages that the middleware lost, and say how to avoid it."""
         self.topics.reporter.monitor.add('messages_lost', status.total_count_change)
-        topic = self.topic_name
+        subscription, topic = self._subscription, self.topic_name
+        if subscription is None:
+            return
+        advice = advice_on_loss(
+            topic,
+            subscription.qos.depth,
+            subscription.qos.reliability == ReliabilityPolicy.RELIABLE,
+            subscription.has_fixed_reliability,
+            subscription.largest,
+            _PROFILE in os.environ,
+        )
         self.topics.reporter.warn(
             f'messages lost on {topic}',
             f'the middleware lost {status.total_count_change} messages on {topic}, '
-            f'{status.total_count} in all: messages over 0.5 MB need the DDS profile '
-            'config/fastdds_large.xml at both ends, or '
-            f'qos_overrides.{topic}.subscription.reliability: reliable',
+            f'{status.total_count} in all: {advice}',
         )
 
 

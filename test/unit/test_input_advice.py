@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import pytest
 
+from obbhbb_ros.nodes.input_advice import advice_on_loss
 from obbhbb_ros.nodes.input_advice import advice_on_silence
 from obbhbb_ros.nodes.input_advice import advice_on_type
 from obbhbb_ros.wire.layouts import INPUT_TYPES
@@ -81,3 +82,19 @@ def test_other_topics_are_named_if_nobody_publishes(
     topic: str, carriers: dict[str, str], advice: str
 ) -> None:
     assert advice_on_silence(topic, carriers) == advice
+
+
+def test_lost_messages_are_explained_by_what_is_not_in_force_yet() -> None:
+    reliable = advice_on_loss('/d', 10, True, True, 900_000, True)
+    assert 'qos_overrides./d.subscription.depth above 10' in reliable
+    assert 'MB' not in reliable
+    assert 'reliability' not in reliable
+    small = advice_on_loss('/camera_info', 10, False, False, 400, False)
+    assert 'up to 400 bytes' in small
+    assert 'MB' not in small
+    assert 'a reliable one loses none' in small
+    fixed = advice_on_loss('/d', 10, False, True, 400, False)
+    assert 'remove qos_overrides./d.subscription.reliability' in fixed
+    assert 'at both ends' in advice_on_loss('/image', 10, False, False, 0, False)
+    large = advice_on_loss('/image', 10, False, False, 900_000, True)
+    assert 'config/fastdds_large.xml at the publisher, too' in large
