@@ -25,6 +25,7 @@ from obbhbb_ros.study import cross_validation
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import rules
 from obbhbb_ros.study import tables
+from obbhbb_ros.study.cautions import cautions
 from obbhbb_ros.study.coverage import Coverage
 from obbhbb_ros.study.grid_search import GRIDS
 from obbhbb_ros.study.hulls import synthetic_ships
@@ -79,7 +80,7 @@ def run_evaluate(options: Namespace) -> None:
         protocols = ('obb',)
     scores = evaluation.evaluate(ships, chosen, protocols, settings)
     offsets = evaluation.offsets(ships, chosen, settings) if 'hbb' in protocols else []
-    print(tables.score_tables(scores, settings, offsets))
+    print(tables.score_tables(scores, settings, offsets, cautions(ships)))
     if options.json:
         evaluation.write_json(options.json, scores, settings, offsets)
     if options.csv:

@@ -40,7 +40,7 @@ def bootstrap_intervals(
     images : ndarray of int, shape (N,)
         Image of each ship.
     samples, seed : int
-        Number of draws and their seed; without draws the intervals are NaN.
+        Number of draws and their seed; without draws, or with one image, the intervals are NaN.
     """
     _, index = np.unique(images, return_inverse=True)
     counts = np.bincount(index).astype(float)
@@ -81,9 +81,14 @@ def _intervals(samples: Sequence[FloatArray], count: int) -> list[Interval]:
 
 
 def draws(images: int, samples: int, seed: int) -> Iterator[FloatArray]:
-    """Draw images with replacement: in batches, how often each image was drawn, (batch, images)."""
+    """
+    Draw images with replacement: in batches, how often each image was drawn, (batch, images).
+
+    There is no batch if there is one image.
+    """
     random = np.random.default_rng(seed)
-    for start in range(0, samples, _BATCH):
+    # One image says nothing about others.
+    for start in range(0, samples if images > 1 else 0, _BATCH):
         batch = min(_BATCH, samples - start)
         drawn = random.integers(images, size=(batch, images))
         offset = np.arange(batch)[:, None] * images

@@ -32,6 +32,7 @@ from obbhbb_ros.study.calibration import CalibrationPlan
 from obbhbb_ros.study.calibration import Calibrator
 from obbhbb_ros.study.calibration import decide
 from obbhbb_ros.study.calibration import enough
+from obbhbb_ros.study.cautions import cautions
 from obbhbb_ros.study.coverage import Coverage
 from obbhbb_ros.study.evaluation import EvaluationSettings
 from obbhbb_ros.study.evaluation import ship_metrics
@@ -209,11 +210,11 @@ def run(
     calibrator = decide(ships, plan)
     rule = calibrator.fit(ships)
     scatter = plan.objective.scatter(ships, rule, plan.seed)
-    result = CalibrationResult(calibrator, ships, rule, scatter)
+    result = CalibrationResult(calibrator, ships, rule, scatter, notes=cautions(ships))
     if not folds:
         return result
     if note := _folds_note(ships, plan, folds):
-        return replace(result, notes=[note])
+        return replace(result, notes=[*result.notes, note])
     return _with_held_out(result, folds, per_class, by_aspect)
 
 
@@ -232,7 +233,8 @@ def _with_held_out(
         groupings[BY_CLASS] = partial(class_groups, classes), for_class
     held_out = dict(_held_out_metrics(result, groupings, folds))
     rules = _aspect_rules(ships, calibrator) if by_aspect else ()
-    result = replace(result, held_out=held_out, rule_of_aspect=rules, notes=notes)
+    result = replace(result, held_out=held_out, rule_of_aspect=rules)
+    result = replace(result, notes=[*result.notes, *notes])
     gains = [result.gain(name) for name in groupings if name != CALIBRATED]
     is_iou = isinstance(calibrator.plan.objective, MeanIou)
     if is_iou and (margin := _margin_gain(result, folds)):

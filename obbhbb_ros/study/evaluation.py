@@ -182,7 +182,7 @@ class Score:
     ships, images : int
         Number of ships and of their images.
     iou, iou_low, iou_high : float
-        Mean IoU and its 95 % bootstrap interval; NaN without bootstrap.
+        Mean IoU and its 95 % bootstrap interval; NaN without bootstrap, or with one image.
     match : float
         Share of ships with an IoU of at least the threshold (Match50 at 0.5): the recall of a
         detector that finds every ship.
@@ -247,7 +247,7 @@ class Offset:
     x, y : float
         Median offset of the centre, pixels; positive to the right and down.
     x_interval, y_interval : Interval
-        Their 95 % bootstrap intervals; NaN without bootstrap.
+        Their 95 % bootstrap intervals; NaN without bootstrap, or with one image.
     left, top, right, bottom : float
         Median offset of each side, pixels; positive to the right and down.
     """
@@ -263,13 +263,16 @@ class Offset:
     bottom: float
 
     @property
-    def significant(self) -> bool:
-        """Whether one of the intervals of the centre excludes zero, rounded to 0.01 px."""
+    def significant_axes(self) -> dict[str, tuple[float, Interval]]:
+        """The axes, with offset and interval, whose interval excludes zero, rounded to 0.01 px."""
+        axes = {'x': (self.x, self.x_interval), 'y': (self.y, self.y_interval)}
         # Comparisons with NaN are false.
-        return any(
-            round(low, _OFFSET_DIGITS) > 0.0 or round(high, _OFFSET_DIGITS) < 0.0
-            for low, high in (self.x_interval, self.y_interval)
-        )
+        return {
+            axis: (value, interval)
+            for axis, (value, interval) in axes.items()
+            if round(interval.low, _OFFSET_DIGITS) > 0.0
+            or round(interval.high, _OFFSET_DIGITS) < 0.0
+        }
 
 
 def strata(ships: Ships) -> dict[str, NDArray[np.bool_]]:
@@ -416,8 +419,8 @@ def offsets(
     --------
     >>> from obbhbb_ros.study.hulls import synthetic_ships
     >>> ships = synthetic_ships(aspects=2, angles=9, seed=None)
-    >>> [offset.significant for offset in offsets(ships, {'outer': HullRule('outer')})]
-    [False]
+    >>> [offset.significant_axes for offset in offsets(ships, {'outer': HullRule('outer')})]
+    [{}]
     """
     chosen = ships_for(ships, 'hbb')
     measured = []

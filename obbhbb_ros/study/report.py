@@ -24,6 +24,7 @@ from obbhbb_ros.study import metrics
 from obbhbb_ros.study import paper_table
 from obbhbb_ros.study import tables
 from obbhbb_ros.study.calibration import CalibrationPlan
+from obbhbb_ros.study.cautions import cautions
 from obbhbb_ros.study.cross_validation import CALIBRATED
 from obbhbb_ros.study.cross_validation import CalibrationResult
 from obbhbb_ros.study.cross_validation import run
@@ -88,7 +89,8 @@ def report_page(
         references=len(referenced) if referenced else 0,
         settings=settings,
         scores=evaluation.nested(scores),
-        notes=tables.offset_notes(offsets),
+        # The text of a calibration has them.
+        notes=[*tables.offset_notes(offsets), *([] if result else cautions(ships))],
         angles=figures.angle_figure(scores),
         calibration=_calibration(referenced, result) if referenced else None,
         protocol=protocols[-1],

@@ -29,11 +29,12 @@ def score_tables(
     scores: Sequence[evaluation.Score],
     settings: evaluation.EvaluationSettings = evaluation.DEFAULT_SETTINGS,
     offsets: Sequence[evaluation.Offset] = (),
+    notes: Sequence[str] = (),
 ) -> str:
     """
     Tabulate scores: for each protocol every metric over all ships, then mean IoU by stratum.
 
-    The offsets follow, if there are any, with a note for significant ones.
+    The offsets follow, if there are any, with a note for significant ones, then other notes.
     """
     parts = []
     for protocol, by_stratum in evaluation.nested(scores).items():
@@ -51,7 +52,7 @@ def score_tables(
     if offsets:
         parts.append(f'median offset from the reference box, px\n{_offset_table(offsets)}')
         parts += offset_notes(offsets)
-    return '\n\n'.join(parts)
+    return '\n\n'.join([*parts, *notes])
 
 
 def known_metrics(scores: Sequence[evaluation.Score]) -> dict[str, evaluation.Metric]:
@@ -106,14 +107,18 @@ def _pixel_range(interval: Interval) -> str:
 
 
 def offset_notes(offsets: Sequence[evaluation.Offset]) -> list[str]:
-    """Warn of significant offsets, in one line each; methods with the same offset share one."""
+    """
+    Warn of significant offsets, in one line each; methods with the same offset share one.
+
+    An axis whose interval contains zero is not named.
+    """
     methods: dict[str, list[str]] = {}
     for offset in offsets:
-        if offset.significant:
-            where = (
-                f'{offset.x:+.2f} px in x ({_pixel_range(offset.x_interval)}) and '
-                f'{offset.y:+.2f} px in y ({_pixel_range(offset.y_interval)})'
-            )
+        where = ' and '.join(
+            f'{value:+.2f} px in {axis} ({_pixel_range(interval)})'
+            for axis, (value, interval) in offset.significant_axes.items()
+        )
+        if where:
             methods.setdefault(where, []).append(offset.method)
     return [
         f'note: significant offset from the reference boxes: {where}'

@@ -12,6 +12,7 @@ from fleets import fleet
 from hypothesis import given
 from hypothesis import strategies as st
 
+from obbhbb_ros import convert
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import convert_by_rule
@@ -20,6 +21,7 @@ from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.study.bootstrap import bootstrap_intervals
 from obbhbb_ros.study.bootstrap import draws
 from obbhbb_ros.study.bootstrap import median_intervals
+from obbhbb_ros.study.cautions import cautions
 from obbhbb_ros.study.cross_validation import class_groups
 from obbhbb_ros.study.evaluation import ALL
 from obbhbb_ros.study.evaluation import METRICS
@@ -37,6 +39,7 @@ from obbhbb_ros.study.tables import offset_notes
 from obbhbb_ros.study.tables import score_tables
 
 FAST = EvaluationSettings(bootstrap=0)
+OUTER = choose_rules(['outer'])
 
 
 @pytest.fixture(scope='module')
@@ -157,7 +160,13 @@ def test_settings_out_of_range_are_refused(values) -> None:
         EvaluationSettings(**values)
 
 
-@given(st.lists(st.tuples(st.floats(0, 1), st.integers(0, 5)), min_size=1, max_size=30))
+def of_images(values):
+    """Draw values and the images that they are from, two or more."""
+    pairs = st.lists(st.tuples(values, st.integers(0, 5)), min_size=2, max_size=30)
+    return pairs.filter(lambda drawn: len({image for _, image in drawn}) > 1)
+
+
+@given(of_images(st.floats(0, 1)))
 def test_an_interval_lies_within_the_values_and_depends_on_the_seed_alone(pairs) -> None:
     values, images = (np.array(column) for column in zip(*pairs, strict=True))
     ((low, high),) = bootstrap_intervals([values], images, samples=30, seed=3)
@@ -300,28 +309,74 @@ def test_a_constant_offset_is_measured_and_warned_of_in_one_line() -> None:
 @pytest.mark.parametrize(('dx', 'significant'), [(0.0, False), (1e-9, False), (0.02, True)])
 def test_an_offset_that_cannot_be_seen_is_not_significant(dx, significant) -> None:
     (found,) = offsets(shifted(dx, 0.0), choose_rules(['outer']))
-    assert found.significant is significant
+    assert list(found.significant_axes) == (['x'] if significant else [])
     assert bool(offset_notes([found])) is significant
+
+
+def test_an_axis_whose_interval_contains_zero_is_not_called_significant() -> None:
+    ships = shifted(1.5, 0.25)
+    up_and_down = np.where(np.arange(30) % 2, 3.0, -3.0)[:, None] * [0, 1, 0, 1]
+    (found,) = offsets(replace(ships, reference=ships.reference + up_and_down), OUTER)
+    assert list(found.significant_axes) == ['x']
+    assert offset_notes([found]) == [
+        'note: significant offset from the reference boxes: +1.50 px in x (+1.50 to +1.50)'
+    ]
+
+
+def test_one_image_has_no_interval_and_nothing_significant() -> None:
+    ships = replace(shifted(1.5, -0.25), image_of=np.zeros(30, int))
+    (found,) = offsets(ships, OUTER)
+    assert np.isnan([*found.x_interval, *found.y_interval]).all()
+    assert offset_notes([found]) == []
+    for score in evaluate(ships, OUTER):
+        assert np.isnan([score.iou_low, score.iou_high]).all()
+    assert any('one image' in note for note in cautions(ships))
+
+
+TILTED_ROWS = [[100.0 * i, 50.0, 80.0, 15.0, 0.2 + 0.05 * i] for i in range(10)]
+
+
+@pytest.mark.parametrize('rounded', [False, True])
+@pytest.mark.parametrize(('outer_boxes', 'cautioned'), [(10, True), (6, True), (5, False)])
+def test_references_that_are_outer_boxes_are_recognised(outer_boxes, cautioned, rounded) -> None:
+    boxes = fleet(TILTED_ROWS).boxes
+    outer, hulls = convert(boxes, method='outer'), convert(boxes)
+    reference = np.where(np.arange(10)[:, None] < outer_boxes, outer, hulls)
+    reference = np.round(reference) if rounded else reference
+    notes = cautions(fleet(TILTED_ROWS, reference, images=range(10)))
+    assert [f'{outer_boxes} of 10 reference boxes' in note for note in notes] == [True] * cautioned
+
+
+def test_upright_boxes_that_are_their_own_references_are_recognised() -> None:
+    assert any('they say nothing about hulls' in note for note in cautions(shifted(0.0, 0.0)))
+    assert cautions(shifted(5.0, 0.0)) == []
+    assert cautions(fleet([[50, 5, 100, 10, 0]] * 2, images=[0, 1])) == []
+
+
+def test_one_upright_ship_does_not_speak_for_tilted_ones() -> None:
+    rows = [[50.0, 5.0, 100.0, 10.0, 0.0]] * 9 + [[50.0, 50.0, 80.0, 15.0, 0.5]]
+    reference = convert(fleet(rows).boxes)
+    assert cautions(fleet(rows, reference, images=range(10))) == []
 
 
 def test_offsets_to_both_sides_are_not_significant_and_neither_is_one_without_interval() -> None:
     ships = shifted(0.0, 0.0)
     reference = ships.reference + np.where(np.arange(30) % 2, 1.0, -1.0)[:, None]
     (found,) = offsets(replace(ships, reference=reference), choose_rules(['outer']))
-    assert not found.significant
+    assert not found.significant_axes
     (found,) = offsets(shifted(3.0, 0.0), choose_rules(['outer']), FAST)
-    assert (found.x, found.significant) == (3.0, False)
+    assert (found.x, found.significant_axes) == (3.0, {})
 
 
 def test_a_box_that_is_too_large_has_no_offset_of_its_centre_but_of_its_sides() -> None:
     ships = shifted(0.0, 0.0)
     inner = ships.reference + [2.0, 1.0, -2.0, -1.0]
     (found,) = offsets(replace(ships, reference=inner), choose_rules(['outer']))
-    assert (found.x, found.y, found.significant) == (0.0, 0.0, False)
+    assert (found.x, found.y, found.significant_axes) == (0.0, 0.0, {})
     assert (found.left, found.top, found.right, found.bottom) == (-2.0, -1.0, 2.0, 1.0)
 
 
-@given(st.lists(st.tuples(st.integers(-9, 9), st.integers(0, 5)), min_size=1, max_size=30))
+@given(of_images(st.integers(-9, 9)))
 def test_the_interval_of_a_median_is_that_of_medians_of_drawn_images(pairs) -> None:
     values, images = (np.array(column) for column in zip(*pairs, strict=True))
     (found,) = median_intervals([values.astype(float)], images, samples=20, seed=4)
