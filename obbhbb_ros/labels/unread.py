@@ -119,6 +119,20 @@ def _are_numbers(fields: Iterable[str]) -> bool:
     return all(map(is_number, fields))
 
 
+def _any(head: str) -> bool:
+    return True
+
+
+def _header(name: str, *columns: str) -> UnreadFormat:
+    """Recognise a CSV table by columns that its first line has."""
+    return UnreadFormat(name, ('.csv',), partial(_has_columns, set(columns)), 'export as COCO')
+
+
+def _has_columns(columns: set[str], head: str) -> bool:
+    return columns.issubset(head.partition('\n')[0].strip().lstrip('#').split(','))
+
+
+LINES_ADVICE = 'write one JSON document, as COCO or GeoJSON has it'
 OWN_CODE = 'write its corners as DOTA or CSV'
 UNREAD = (
     _json('Segment Anything (SA-1B) JSON', '{image{', '{annotations['),
@@ -129,9 +143,19 @@ UNREAD = (
     _json('Dataloop JSON', '{annotations[', '{filename'),
     _json('Lightly JSON', '{predictions[', '{file_name'),
     _json('FiftyOne JSON', '{samples['),
-    _xml('LabelMe XML', r'<annotation[ >](?s:.)*<(imagesize|sourceAnnotation|pt)>'),
+    _json('V7 Darwin JSON', '{item{', '{annotations['),
+    _json('SuperAnnotate JSON', '{instances[', '{metadata{'),
+    _json('VoTT JSON', '{asset{', '{regions['),
+    _xml('LabelMe XML', r'<(imagesize|sourceAnnotation|pt)>'),
     _xml('KML', r'<kml[ >]', 'convert to GeoJSON'),
     _xml('GML', r'<\w+:FeatureCollection[ >]', 'convert to GeoJSON'),
+    UnreadFormat('KML', ('.kml', '.kmz'), _any, 'convert to GeoJSON'),
+    UnreadFormat('GML', ('.gml',), _any, 'convert to GeoJSON'),
+    UnreadFormat('MapInfo', ('.tab', '.mif'), _any, 'convert to GeoJSON or GeoPackage'),
+    UnreadFormat('Feather', ('.feather',), _any, 'write it as CSV'),
+    UnreadFormat('JSON lines', ('.jsonl', '.ndjson', '.geojsonl', '.geojsons'), _any, LINES_ADVICE),
+    _header('Open Images CSV', 'ImageID', 'LabelName', 'XMin'),
+    _header('VGG Image Annotator CSV', 'region_shape_attributes'),
     UnreadFormat(
         'labelImg_OBB text', ('.txt',), lambda head: head.lstrip().startswith('YOLO_OBB'), OWN_CODE
     ),
