@@ -52,6 +52,14 @@ class Unpaired(str, Enum):
     CLEARED = 'deactivated'
 
 
+class Mark(NamedTuple):
+    """When an item came, seconds, and how many items, and bytes of items, had come before it."""
+
+    arrival: float
+    items: int
+    bytes: int
+
+
 class WaitingItem(NamedTuple, Generic[Item]):
     """
     An item of a `StampCache`.
@@ -62,14 +70,13 @@ class WaitingItem(NamedTuple, Generic[Item]):
         When it came, seconds.
     item : Item
         The item.
-    number, position : int
-        Items, and bytes of items, that came before it.
+    mark : Mark
+        When it came first, and what had come before it.
     """
 
     arrival: float
     item: Item
-    number: int
-    position: int
+    mark: Mark
 
 
 class Lateness(NamedTuple):
@@ -87,6 +94,38 @@ class Lateness(NamedTuple):
     age: float
     items: int
     bytes: int
+
+
+class DropMemory:
+    """Remembers the last 1000 items that were dropped, by stamp, and what would have kept them."""
+
+    def __init__(self) -> None:
+        self._items = self._bytes = 0
+        self._dropped: OrderedDict[Stamp, Mark] = OrderedDict()
+
+    def arrived(self, stamp: Stamp, size: int, now: float) -> Mark:
+        """Note an item of some bytes; it may come again after it was dropped."""
+        self._dropped.pop(stamp, None)
+        mark = Mark(now, self._items, self._bytes)
+        self._items += 1
+        self._bytes += size
+        return mark
+
+    def dropped(self, stamp: Stamp, mark: Mark) -> None:
+        """Note that an item was dropped."""
+        self._dropped[stamp] = mark
+        if len(self._dropped) > _MAX_GONE:
+            self._dropped.popitem(last=False)
+
+    def lateness(self, stamp: Stamp, now: float) -> Lateness | None:
+        """Tell what would have kept the item of a stamp; None if none was dropped."""
+        if (mark := self._dropped.get(stamp)) is None:
+            return None
+        return Lateness(now - mark.arrival, self._items - mark.items, self._bytes - mark.bytes)
+
+    def clear(self) -> None:
+        """Forget what was dropped."""
+        self._dropped.clear()
 
 
 class StampCache(Generic[Item]):
@@ -121,9 +160,8 @@ class StampCache(Generic[Item]):
         self._on_dropped, self._size_of = on_dropped, size_of
         self._entries: OrderedDict[Stamp, WaitingItem[Item]] = OrderedDict()
         self._bytes = 0
-        # What expired or was crowded out: arrival, number and position.
-        self._gone: OrderedDict[Stamp, tuple[float, int, int]] = OrderedDict()
-        self._all_count = self._all_bytes = 0
+        # What expired or was crowded out.
+        self._memory = DropMemory()
 
     def __len__(self) -> int:
         """Count the items."""
@@ -163,12 +201,9 @@ class StampCache(Generic[Item]):
         A `max_count` of 0 is no bound. The newest item stays, whatever its size.
         """
         replaced = self._remove(stamp)
-        self._gone.pop(stamp, None)
-        self._entries[stamp] = WaitingItem(now, item, self._all_count, self._all_bytes)
         size = self._size_of(item)
+        self._entries[stamp] = WaitingItem(now, item, self._memory.arrived(stamp, size, now))
         self._bytes += size
-        self._all_bytes += size
-        self._all_count += 1
         if replaced is not None:
             self._on_dropped(Unpaired.DUPLICATE, replaced.item)
 
@@ -194,14 +229,11 @@ class StampCache(Generic[Item]):
 
     def lateness(self, stamp: Stamp, now: float) -> Lateness | None:
         """Tell what would have kept an item that expired or was crowded out; None if none did."""
-        if (gone := self._gone.get(stamp)) is None:
-            return None
-        arrival, number, position = gone
-        return Lateness(now - arrival, self._all_count - number, self._all_bytes - position)
+        return self._memory.lateness(stamp, now)
 
     def forget_dropped(self) -> None:
         """Forget what was dropped: the same stamps come again."""
-        self._gone.clear()
+        self._memory.clear()
 
     def expire(self, now: float, max_age: float) -> None:
         """Drop the items that came more than `max_age` seconds ago."""
@@ -227,9 +259,7 @@ class StampCache(Generic[Item]):
             # One by one: an error of the callback costs no other item.
             self._remove(stamp)
             if reason is not Unpaired.CLEARED:
-                self._gone[stamp] = entry.arrival, entry.number, entry.position
-                if len(self._gone) > _MAX_GONE:
-                    self._gone.popitem(last=False)
+                self._memory.dropped(stamp, entry.mark)
             self._on_dropped(reason, entry.item)
 
 
@@ -268,14 +298,38 @@ class PairLimits(CheckedSettings):
         >>> PairLimits(max_bytes=1e6).shortage(Lateness(age=3.5, items=105, bytes=32_256_000))
         'more than cache.max_bytes waited; 32256000 bytes are needed'
         """
-        reasons = []
-        if lateness.bytes > self.max_bytes:
-            reasons.append(f'more than cache.max_bytes waited; {lateness.bytes} bytes are needed')
-        if 0 < self.images < lateness.items:
-            reasons.append(f'more than cache.images waited; {lateness.items} images are needed')
-        if lateness.age > self.max_age or not reasons:
-            reasons.append('it waited longer than cache.max_age')
-        return ', and '.join(reasons)
+        return shortage(
+            lateness,
+            ('cache.max_bytes', self.max_bytes),
+            ('cache.images', self.images),
+            ('cache.max_age', self.max_age),
+        )
+
+
+def shortage(
+    lateness: Lateness,
+    max_bytes: tuple[str, float],
+    max_items: tuple[str, int],
+    max_age: tuple[str, float],
+) -> str:
+    """
+    Say which limits were too small to keep an image, and what they would have to be.
+
+    Parameters
+    ----------
+    lateness : Lateness
+        What would have kept it.
+    max_bytes, max_items, max_age : tuple of str and number
+        Name and value of the parameters; 0 items are no limit.
+    """
+    reasons = []
+    if lateness.bytes > max_bytes[1]:
+        reasons.append(f'more than {max_bytes[0]} waited; {lateness.bytes} bytes are needed')
+    if 0 < max_items[1] < lateness.items:
+        reasons.append(f'more than {max_items[0]} waited; {lateness.items} images are needed')
+    if lateness.age > max_age[1] or not reasons:
+        reasons.append(f'it waited longer than {max_age[0]}')
+    return ', and '.join(reasons)
 
 
 class JoinerSide(Generic[Item, Partner]):

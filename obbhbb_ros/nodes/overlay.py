@@ -80,7 +80,9 @@ class Overlay(ManagedNode[OverlaySettings]):
         super().__init__(
             'overlay', OVERLAY, ('images_received', 'pictures_sent', 'bytes_sent'), **kwargs
         )
-        self._collector = LayerCollector[AnyImage, Detections](self._count_not_drawn)
+        self._collector = LayerCollector[AnyImage, Detections](
+            self._count_not_drawn, size_of=lambda image: image.data.nbytes
+        )
         self._input_type = INPUT_TYPES[self.get_parameter('input_type').value]
         self._pictures = self.topics.output(CompressedImage, 'overlay/compressed')
         self._markers = self.topics.output(ImageMarker, 'overlay/markers')
@@ -167,8 +169,21 @@ class Overlay(ManagedNode[OverlaySettings]):
         """Keep a layer for its image, if it is drawn."""
         if layer not in self.parameters.settings.frame.colors:
             return
+        detections = Detections(data, input_type)
+        self._warn_if_late(layer, detections.stamp)
         add = partial(self._collector.add_layer, layer)
-        self._collect(self._layers_in[layer], Detections(data, input_type), add)
+        self._collect(self._layers_in[layer], detections, add)
+
+    def _warn_if_late(self, layer: str, stamp: Stamp) -> None:
+        """Report a layer whose image did not wait for it, and what would have kept the image."""
+        if lateness := self._collector.lateness(stamp, time.monotonic()):
+            self.monitor.add(f'layers_late.{layer}')
+            self.reporter.warn(
+                f'late {layer}',
+                f'{layer} came {lateness.age:.1f} s '
+                'after their image, which had been drawn without them or dropped: '
+                + self.parameters.settings.limits.shortage(lateness),
+            )
 
     def _collect(
         self, topic: TopicInput, item: Item, add: Callable[[Stamp, Item, float], bool]

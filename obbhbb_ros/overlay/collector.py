@@ -11,8 +11,12 @@ from enum import Enum
 from typing import Generic
 from typing import TypeVar
 
-from obbhbb_ros.downlink.joiner import IMAGES_KEPT
+from obbhbb_ros.downlink.joiner import DropMemory
+from obbhbb_ros.downlink.joiner import Lateness
+from obbhbb_ros.downlink.joiner import Mark
 from obbhbb_ros.downlink.joiner import StampCache
+from obbhbb_ros.downlink.joiner import shortage
+from obbhbb_ros.limits import MAX_BYTES
 from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Range
 from obbhbb_ros.limits import setting
@@ -28,6 +32,7 @@ class NotDrawn(str, Enum):
     """Why an image or its layers were dropped."""
 
     NO_IMAGE = 'no_image'
+    INCOMPLETE = 'incomplete'
     OVERTAKEN = 'overtaken'
     CROWDED_OUT = 'crowded_out'
     CLEARED = 'deactivated'
@@ -45,14 +50,37 @@ class CollectorLimits(CheckedSettings):
     )
     max_age: float = setting(
         5.0,
-        'How long layers wait for their image, seconds. A large image takes a while to arrive.',
+        'How long layers wait for their image, seconds, and with complete_only images for their '
+        'layers. A large image takes a while to arrive.',
         Range(0.0, 3600.0),
     )
-    max_images: int = setting(
-        IMAGES_KEPT,
-        'Maximum images that wait for their layers; the oldest is dropped first.',
-        Range(1, 1000),
+    complete_only: bool = setting(
+        False,
+        'Draw only images with all their layers. They wait up to max_age, and max_wait has no '
+        'effect.',
     )
+    max_bytes: float = setting(
+        128.0 * 2**20,
+        'Maximum bytes of the images that wait for their layers; the oldest is dropped first.',
+        Range(1.0, MAX_BYTES),
+    )
+    max_images: int = setting(
+        0, 'Maximum number of these images. 0: no limit but max_bytes.', Range(0, 1000)
+    )
+
+    @property
+    def patience(self) -> tuple[str, float]:
+        """Name and value of the parameter that says how long an image waits."""
+        return ('max_age', self.max_age) if self.complete_only else ('max_wait', self.max_wait)
+
+    def shortage(self, lateness: Lateness) -> str:
+        """Say which limits were too small to keep an image until its layer came."""
+        return shortage(
+            lateness,
+            ('max_bytes', self.max_bytes),
+            ('max_images', self.max_images),
+            self.patience,
+        )
 
 
 @dataclass
@@ -64,10 +92,13 @@ class ImageParts(Generic[ImageT, LayerT]):
     ----------
     since : float
         When the image arrived, or the first layer while there is no image.
+    mark : Mark, optional
+        What had come before the image.
     """
 
     since: float
     image: ImageT | None = None
+    mark: Mark | None = None
     layers: dict[str, LayerT] = field(default_factory=dict)
 
 
@@ -75,7 +106,8 @@ class LayerCollector(Generic[ImageT, LayerT]):
     """
     Images and layers that wait for each other.
 
-    An image is ready once all awaited layers are there, or `max_wait` after its arrival. An
+    An image is ready once all awaited layers are there, or `max_wait` after its arrival unless
+    only complete ones are wanted. An
     incomplete image is dropped if one that arrived later was ready before it: pictures do not go
     back in time. Layers may wait longer than images, because a large image takes a while to
     arrive.
@@ -88,6 +120,8 @@ class LayerCollector(Generic[ImageT, LayerT]):
     ----------
     on_dropped : callable
         Called with the reason for each image or set of layers that is dropped.
+    size_of : callable, optional
+        Returns the bytes of an image.
 
     Examples
     --------
@@ -101,8 +135,14 @@ class LayerCollector(Generic[ImageT, LayerT]):
     [('pixels', {'boxes': 'some boxes'})]
     """
 
-    def __init__(self, on_dropped: Callable[[NotDrawn], None]) -> None:
-        self._on_dropped = on_dropped
+    def __init__(
+        self,
+        on_dropped: Callable[[NotDrawn], None],
+        size_of: Callable[[ImageT], int] = lambda _: 0,
+    ) -> None:
+        self._on_dropped, self._size_of = on_dropped, size_of
+        # Images that were dropped, or drawn incomplete.
+        self._memory = DropMemory()
         self._waiting = StampCache[ImageParts[ImageT, LayerT]](
             lambda reason, _: on_dropped(NotDrawn(reason.value))
         )
@@ -124,6 +164,7 @@ class LayerCollector(Generic[ImageT, LayerT]):
         if is_new:
             parts.since = now
         parts.image = image
+        parts.mark = self._memory.arrived(stamp, self._size_of(image), now)
         return is_new
 
     def add_layer(self, name: str, stamp: Stamp, layer: LayerT, now: float) -> bool:
@@ -132,6 +173,10 @@ class LayerCollector(Generic[ImageT, LayerT]):
         is_new = name not in parts.layers
         parts.layers[name] = layer
         return is_new
+
+    def lateness(self, stamp: Stamp, now: float) -> Lateness | None:
+        """Tell what would have kept an image that was dropped, or drawn incomplete."""
+        return self._memory.lateness(stamp, now)
 
     def ready(
         self, awaited: Set[str], now: float, limits: CollectorLimits
@@ -151,18 +196,22 @@ class LayerCollector(Generic[ImageT, LayerT]):
         ready = []
         for stamp, parts in self._waiting.items():
             is_complete = parts.image is not None and awaited <= parts.layers.keys()
-            patience = limits.max_age if parts.image is None else limits.max_wait
+            patience = limits.max_age if parts.image is None else limits.patience[1]
             if not is_complete and now - parts.since < patience:
                 continue
             self._waiting.pop(stamp)
+            if parts.mark is not None and not is_complete:
+                self._memory.dropped(stamp, parts.mark)
             if parts.image is None:
                 self._on_dropped(NotDrawn.NO_IMAGE)
+            elif not is_complete and limits.complete_only:
+                self._on_dropped(NotDrawn.INCOMPLETE)
             elif not is_complete and parts.since < self._last_ready:
                 self._on_dropped(NotDrawn.OVERTAKEN)
             else:
                 self._last_ready = max(self._last_ready, parts.since)
                 ready.append((parts.image, parts.layers))
-        self._make_room(limits.max_images)
+        self._make_room(limits)
         return ready
 
     def clear(self) -> None:
@@ -175,9 +224,19 @@ class LayerCollector(Generic[ImageT, LayerT]):
             self._waiting.put(stamp, ImageParts(now), now, _MAX_STAMPS)
         return self._waiting[stamp]
 
-    def _make_room(self, max_images: int) -> None:
-        """Drop the oldest images where there are too many."""
-        with_image = [s for s, parts in self._waiting.items() if parts.image is not None]
-        for stamp in with_image[:-max_images]:
+    def _make_room(self, limits: CollectorLimits) -> None:
+        """Drop the oldest images where there are too many; the latest stays."""
+        waiting = [
+            (stamp, parts.mark, self._size_of(parts.image))
+            for stamp, parts in self._waiting.items()
+            if parts.image is not None and parts.mark is not None
+        ]
+        total = sum(size for _, _, size in waiting)
+        for i, (stamp, mark, size) in enumerate(waiting[:-1]):
+            is_crowd = 0 < limits.max_images < len(waiting) - i
+            if total <= limits.max_bytes and not is_crowd:
+                return
+            total -= size
             self._waiting.pop(stamp)
+            self._memory.dropped(stamp, mark)
             self._on_dropped(NotDrawn.CROWDED_OUT)

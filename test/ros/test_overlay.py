@@ -172,6 +172,32 @@ def test_layers_without_an_image_and_what_a_later_frame_overtook_are_dropped_and
     assert len(node.pictures) == 1
 
 
+def test_only_complete_frames_are_drawn_if_asked_for_however_slow_the_detector(
+    start: Callable[..., OverlayNode],
+) -> None:
+    node = start(complete_only=True, max_age=60.0)
+    node.connect('boxes')
+    headers = [node.send(GREY, 'rgb8') for _ in range(30)]
+    node.wait(lambda: node.counts()['frames_waiting'] == 30, 'all images')
+    node.send_layer('boxes', ROWS['boxes'], headers[3])
+    assert shows(pixels_of(node.picture_of(headers[3])), 'boxes')
+    assert len(node.pictures) == 1
+    node.set({'max_age': 0.5})
+    node.wait(lambda: node.counts()['frames_dropped.incomplete'] == 29, 'the others to be dropped')
+    assert len(node.pictures) == 1
+
+
+def test_a_layer_that_comes_too_late_names_the_limit(start: Callable[..., OverlayNode]) -> None:
+    node = start(max_wait=0.2)
+    node.connect('boxes')
+    header = node.send(GREY, 'rgb8')
+    node.picture_of(header)
+    node.send_layer('boxes', ROWS['boxes'], header)
+    line = node.wait_for_log('boxes came')
+    assert line.endswith('drawn without them or dropped: it waited longer than max_wait')
+    assert node.counts()['layers_late.boxes'] == 1
+
+
 def test_layers_scale_and_colours_follow_the_parameters(node: OverlayNode) -> None:
     node.set({'layers': ['boxes'], 'scale': 0.5, 'color.boxes': '#FF0000', 'line_width': 1})
     header = node.send(GREY, 'rgb8', boxes=ROWS['boxes'], detections=ROWS['detections'])

@@ -111,6 +111,8 @@ OVERLAY_CONTRACT = {
     'text_size',
     'max_wait',
     'max_age',
+    'complete_only',
+    'max_bytes',
     'max_images',
     'color.detections',
     'color.boxes',

@@ -7,6 +7,7 @@ import itertools
 
 import pytest
 
+from obbhbb_ros.downlink.joiner import Lateness
 from obbhbb_ros.overlay.collector import CollectorLimits
 from obbhbb_ros.overlay.collector import LayerCollector
 from obbhbb_ros.overlay.collector import NotDrawn
@@ -118,6 +119,60 @@ def test_the_oldest_images_are_dropped_where_there_are_too_many(frames, dropped)
         assert not frames.ready(AWAITED, 0.0, LIMITS)
     assert dropped == [NotDrawn.CROWDED_OUT] * 2
     assert [image for image, _ in frames.ready(set(), 0.0, LIMITS)] == [2, 3, 4]
+
+
+def test_images_are_bounded_by_their_bytes_and_the_latest_stays(dropped) -> None:
+    frames, limits = Collector(dropped.append, size_of=len), CollectorLimits(max_bytes=100.0)
+    for second, size in enumerate((40, 40, 40, 500)):
+        frames.add(IMAGE, (second, 0), '.' * size, 0.0)
+        frames.ready(AWAITED, 0.0, limits)
+        assert len(frames) == (1, 2, 2, 1)[second]
+    assert dropped == [NotDrawn.CROWDED_OUT] * 3
+
+
+def test_an_incomplete_frame_is_never_drawn_if_only_complete_ones_are_wanted(
+    frames, dropped
+) -> None:
+    limits = CollectorLimits(max_wait=0.5, max_age=5.0, complete_only=True)
+    for second in (1, 2, 3):
+        frames.add(IMAGE, (second, 0), f'image {second}', 0.0)
+    frames.add('boxes', (2, 0), 'late boxes', 4.9)
+    assert frames.ready({'boxes'}, 4.9, limits) == [('image 2', {'boxes': 'late boxes'})]
+    assert not frames.ready({'boxes'}, 5.0, limits)
+    assert dropped == [NotDrawn.INCOMPLETE] * 2
+
+
+@pytest.mark.parametrize(
+    ('limits', 'said'),
+    [
+        (CollectorLimits(max_wait=0.5), 'it waited longer than max_wait'),
+        (CollectorLimits(complete_only=True, max_age=0.5), 'it waited longer than max_age'),
+        (
+            CollectorLimits(max_wait=2.0, max_bytes=50.0),
+            'more than max_bytes waited; 80 bytes are needed',
+        ),
+        (
+            CollectorLimits(max_wait=2.0, max_images=1),
+            'more than max_images waited; 2 images are needed',
+        ),
+    ],
+)
+def test_what_would_have_kept_an_image_for_its_layer_is_known(dropped, limits, said) -> None:
+    frames = Collector(dropped.append, size_of=len)
+    for second in (1, 2):
+        frames.add(IMAGE, (second, 0), '.' * 40, 0.0)
+        frames.ready({'boxes'}, 0.0, limits)
+    frames.ready({'boxes'}, 1.0, limits)
+    lateness = frames.lateness((1, 0), 1.2)
+    assert lateness == Lateness(age=1.2, items=2, bytes=80)
+    assert limits.shortage(lateness) == said
+
+
+def test_an_image_that_was_drawn_complete_has_no_late_layer(frames) -> None:
+    frames.add(IMAGE, (1, 0), 'image', 0.0)
+    frames.add('boxes', (1, 0), 'boxes', 0.0)
+    assert frames.ready({'boxes'}, 0.0, LIMITS)
+    assert frames.lateness((1, 0), 1.0) is None
 
 
 def test_memory_is_bounded_without_images_too(frames, dropped) -> None:
