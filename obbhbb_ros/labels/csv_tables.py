@@ -12,7 +12,9 @@ reference box, may be empty or absent; so may ``mask``, the hull polygon, and ``
 then 1. A row is one line, quoted fields included, so that a stray quote damages one row and not
 the rest of the file. A row with only an image name is an image without boxes. The eight
 corners may be replaced by ``x_min,y_min,x_max,y_max``, as `obbhbb convert` writes them: the box is
-then upright and also the reference box.
+then upright and also the reference box; by ``cx,cy,w,h`` and ``angle_deg`` or ``angle_rad``, from x
+towards y, along ``w``; or by ``xyxyxyxy``, a list, as supervision writes it. Upper and lower case
+are the same, and columns may have the names that other tools give them, see `table_columns`.
 
 With a column of WKT::
 
@@ -59,14 +61,20 @@ from obbhbb_ros.labels.label_file import Item
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_file import Record
 from obbhbb_ros.labels.label_format import Format
+from obbhbb_ros.labels.table_columns import BOUNDS
+from obbhbb_ros.labels.table_columns import COLUMNS
+from obbhbb_ros.labels.table_columns import CORNER_LIST
+from obbhbb_ros.labels.table_columns import CORNERS
+from obbhbb_ros.labels.table_columns import IN_DEGREES
+from obbhbb_ros.labels.table_columns import IN_RADIANS
+from obbhbb_ros.labels.table_columns import NAMES
+from obbhbb_ros.labels.table_columns import REFERENCE
+from obbhbb_ros.labels.table_columns import box_columns
+from obbhbb_ros.labels.table_columns import has_boxes
 
-CORNERS = ('x1', 'y1', 'x2', 'y2', 'x3', 'y3', 'x4', 'y4')
-REFERENCE = ('hx1', 'hy1', 'hx2', 'hy2')
-BOUNDS = ('x_min', 'y_min', 'x_max', 'y_max')
-NAMES = ('image', 'instance', 'class')
-COLUMNS = (*NAMES, *CORNERS, *REFERENCE, 'mask', 'score')
 BOX_COLUMNS = (*NAMES, 'score', *BOUNDS)
 GEOMETRY = ('wkt', 'geometry', 'geom', 'the_geom')
+BRACKETS = str.maketrans('[],', '   ')
 # What the csv module puts in quotes, besides commas and line feeds.
 QUOTED = re.compile('["\r]')
 SRID = re.compile(r'\s*SRID\s*=\s*\d+\s*;', re.IGNORECASE)
@@ -75,7 +83,7 @@ SRID = re.compile(r'\s*SRID\s*=\s*\d+\s*;', re.IGNORECASE)
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
     blocks = text.filled_blocks(file)
     numbers, lines = next(blocks, ((), ('',)))
-    columns, shape = _header(file, lines[0], next(iter(numbers), None), _corner_columns)
+    _, (columns, shape) = _header(file, lines[0], next(iter(numbers), None), box_columns)
     rest = chain([(numbers[1:], lines[1:])], blocks)
     images = ImageGrouper()
     for part in file.parse_blocks(rest, partial(_parse_lines, file, columns, shape)):
@@ -111,23 +119,11 @@ def _header(
     """Return the names of the columns, and what `check` makes of them."""
     try:
         columns = [column.strip() for column in text.split_row(line)]
+        if len(columns) == 1 and line.strip():
+            raise ValueError(text.describe_text(line))
         return columns, check(columns)
     except ValueError as error:
         raise file.error(str(error), number) from None
-
-
-def _corner_columns(columns: list[str]) -> Sequence[str]:
-    """Return the names of the columns of the corners or of the bounds."""
-    upright = not set(BOUNDS).isdisjoint(columns) and set(CORNERS).isdisjoint(columns)
-    shape = BOUNDS if upright else CORNERS
-    reference = () if set(REFERENCE).isdisjoint(columns) else REFERENCE
-    missing = [column for column in (*NAMES, *shape, *reference) if column not in columns]
-    if missing:
-        raise ValueError(f'missing columns: {", ".join(missing)} (header: {",".join(columns)})')
-    twice = [column for column in (*COLUMNS, *shape) if columns.count(column) > 1]
-    if twice:
-        raise ValueError(f'columns named more than once: {", ".join(dict.fromkeys(twice))}')
-    return shape
 
 
 def _parse_lines(
@@ -142,11 +138,15 @@ def _parse_lines(
     if {*map(len, rows)} != {len(columns)}:
         raise ValueError(f'{len(rows[0])} fields, the header has {len(columns)}')
     table = dict(zip(columns, zip(*rows, strict=True), strict=True))
-    images, filled = table['image'], [True] * len(rows)
+    images = table.setdefault('image', (file.path.stem,) * len(rows))
+    table.setdefault('instance', ('',) * len(rows))
+    filled = [True] * len(rows)
     if not all(images):
         raise ValueError('no image name')
     if not all(table[shape[0]]):
-        filled = [sum(map(bool, row)) != 1 for row in rows]
+        # A column without a name is the row number of pandas.
+        fields = zip(*(table[name] for name in columns if name), strict=True)
+        filled = [sum(map(bool, row)) != 1 for row in fields]
         table = {name: tuple(compress(values, filled)) for name, values in table.items()}
     return images, filled, _parse_boxes(file, table, shape)
 
@@ -156,11 +156,17 @@ def _parse_boxes(
 ) -> ImageLabels:
     """Turn columns of N fields into N boxes."""
     count = len(table['image'])
-    coordinates = text.parse_columns([table[name] for name in shape])
+    if shape is CORNER_LIST:
+        coordinates = np.array(list(map(_parse_corner_list, table[CORNER_LIST[0]]))).reshape(-1, 8)
+    else:
+        coordinates = text.parse_columns([table[name] for name in shape])
     reference = _parse_reference([table.get(name, ('',) * count) for name in REFERENCE])
-    corners = (
-        coordinates.reshape(-1, 4, 2) if shape is CORNERS else shapes.upright_rows(coordinates)
-    )
+    if shape is BOUNDS:
+        corners = shapes.upright_rows(coordinates)
+    elif shape in (IN_DEGREES, IN_RADIANS):
+        corners = _oriented_rows(coordinates, shape is IN_DEGREES)
+    else:
+        corners = coordinates.reshape(-1, 4, 2)
     if shape is BOUNDS:
         reference = np.where(np.isnan(reference), coordinates, reference)
     masks = table.get('mask', ())
@@ -175,6 +181,23 @@ def _parse_boxes(
         size=file.image_size,
         source=file.path,
     )
+
+
+def _parse_corner_list(field: str) -> list[float]:
+    numbers = text.parse_numbers(field.translate(BRACKETS).split())
+    if len(numbers) != len(CORNERS):
+        raise ValueError(f'xyxyxyxy has {len(numbers)} numbers, expected 8')
+    return numbers
+
+
+def _oriented_rows(xywhr: FloatArray, degrees: bool) -> FloatArray:
+    """Return the corners, (N, 4, 2), of boxes given by centre, size and angle, (N, 5)."""
+    if any(max(row[:4]) <= 1.0 for row in xywhr.tolist()):
+        raise ValueError('a box within a pixel: are the numbers fractions of the image?')
+    angles = np.radians(xywhr[:, 4]) if degrees else xywhr[:, 4]
+    rows = np.column_stack((xywhr[:, :4], angles)).tolist()
+    corners = [shapes.oriented_corners(*row) for row in rows]
+    return np.array(corners, np.float64).reshape(-1, 4, 2)
 
 
 def _parse_reference(columns: Sequence[Sequence[str]]) -> FloatArray:
@@ -299,8 +322,7 @@ def _join_row(fields: Sequence[str]) -> str:
 
 
 def _sniff(head: str) -> bool:
-    columns = _first_columns(head)
-    return any(column in CORNERS for column in columns) or set(BOUNDS) <= set(columns)
+    return has_boxes(_first_columns(head))
 
 
 def _sniff_wkt(head: str) -> bool:
@@ -317,7 +339,7 @@ CORNER_TABLE = Format(
     suffixes=('.csv',),
     summary=(
         f'CSV of many images, one box per row: {",".join(COLUMNS[:-1])}; '
-        f'or {",".join(BOUNDS)} instead of the corners'
+        f'or {",".join(BOUNDS)}, or {",".join(IN_DEGREES)} (or angle_rad) instead of the corners'
     ),
     sniff=_sniff,
     read=_read,

@@ -193,8 +193,8 @@ def parse_number(field: str) -> float:
 
 
 def parse_score(field: str) -> float:
-    """Turn the field of a score into a finite number, see `parse_number`; 1.0 if it is empty."""
-    return parse_number(field) if field else 1.0
+    """Turn the field of a score into a finite number; 1.0 if it is empty, or NaN as of pandas."""
+    return 1.0 if field.lower() in {'', 'nan'} else parse_number(field)
 
 
 def is_number(field: str) -> bool:

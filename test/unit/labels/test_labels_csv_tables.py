@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from conftest import Same
 
 HEADER = 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4,hx1,hy1,hx2,hy2,mask'
+CORNER_COLUMNS = 'x1,y1,x2,y2,x3,y3,x4,y4'
 BOX = '10,20,50,20,50,30,10,30'
 CORNERS = [[10, 20], [50, 20], [50, 30], [10, 30]]
 FULL = f'b.jpg,7,ship,{BOX},11,21,49,29,11 25;30 21;49.5 25;30 29'
@@ -66,9 +67,91 @@ def test_columns_may_be_absent_unknown_and_in_any_order(put: Put) -> None:
     assert labels.hulls == (None,)
 
 
-def test_an_empty_score_counts_as_1(put: Put) -> None:
-    (labels,) = read_labels(put('all.csv', _table(f'{HEADER},score', f'{FULL},', f'{FULL},0.5')))
+@pytest.mark.parametrize('score', ['', 'nan', 'NaN'])
+def test_an_empty_score_counts_as_1(put: Put, score: str) -> None:
+    rows = f'{FULL},{score}', f'{FULL},0.5'
+    (labels,) = read_labels(put('all.csv', _table(f'{HEADER},score', *rows)))
     assert labels.scores.tolist() == [1.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ('header', 'row'),
+    [
+        (
+            f'Image,CLASS,{",".join(["X1", "Y1", "X2", "Y2", "X3", "Y3", "X4", "Y4"])},Score',
+            f'a,ship,{BOX},0.5',
+        ),
+        (f',file_name,class_name,{CORNER_COLUMNS},conf', f'0,a,ship,{BOX},0.5'),
+        (
+            'label,filename,xyxyxyxy,confidence',
+            'ship,a,"[[10, 20], [50, 20], [50, 30], [10, 30]]",.5',
+        ),
+        ('image,class,cx,cy,w,h,angle_deg,score', 'a,ship,30,25,40,10,0,0.5'),
+        ('image,class,cx,cy,w,h,degrees,score', 'a,ship,30,25,10,40,-90,0.5'),
+        (
+            'image,class,x_center,y_center,width,height,rotation_rad,score',
+            'a,ship,30,25,40,10,0,.5',
+        ),
+    ],
+    ids=['upper case', 'pandas', 'list', 'centred', 'cv2.minAreaRect', 'radians'],
+)
+def test_columns_of_other_tools_are_read(put: Put, header: str, row: str) -> None:
+    (labels,) = read_labels(put('all.csv', _table(header, row)))
+    assert (labels.image, labels.class_ids) == ('a', ('ship',))
+    assert labels.scores.tolist() == [0.5]
+    np.testing.assert_allclose(sorted(labels.corners[0].tolist()), sorted(CORNERS), atol=1e-9)
+
+
+@pytest.mark.parametrize(('name', 'angle'), [('angle_deg', 30.0), ('theta_radians', np.pi / 6)])
+def test_an_angle_runs_from_x_towards_y_along_the_first_size(
+    put: Put, name: str, angle: float
+) -> None:
+    text = _table(f'image,class,cx,cy,w,h,{name}', f'a,ship,30,25,40,10,{angle}')
+    (labels,) = read_labels(put('all.csv', text))
+    np.testing.assert_allclose(labels.boxes().xywhr, [[30, 25, 40, 10, np.pi / 6]])
+
+
+def test_detections_that_supervision_writes_are_those_of_one_image(put: Put) -> None:
+    header = 'x_min,y_min,x_max,y_max,class_id,confidence,tracker_id,class_name,note'
+    (labels,) = read_labels(put('sink.csv', _table(header, '10,20,50,30,0,0.9,3,ship,x')))
+    assert (labels.image, labels.class_ids, labels.ids) == ('sink', ('ship',), ('3',))
+    assert labels.scores.tolist() == [0.9]
+    assert labels.reference.tolist() == [[10, 20, 50, 30]]
+
+
+def test_frames_that_supervision_writes_are_told_apart(put: Put) -> None:
+    header = 'x_min,y_min,x_max,y_max,class_id,confidence,tracker_id,frame,xyxyxyxy'
+    row = '10,20,50,30,0,0.9,3,{},"[[10, 20], [50, 25], [49, 30], [9, 25]]"'
+    images = list(read_labels(put('sink.csv', _table(header, row.format(1), row.format(2)))))
+    assert [labels.image for labels in images] == ['1', '2']
+    assert images[0].corners[0, 1].tolist() == [50, 25]
+
+
+def test_an_image_without_boxes_may_have_a_row_number(put: Put) -> None:
+    header = f',image,class,{CORNER_COLUMNS}'
+    empty, full = read_labels(put('all.csv', _table(header, f'0,a{"," * 9}', f'1,b,ship,{BOX}')))
+    assert (empty.image, len(empty.ids)) == ('a', 0)
+    assert (full.image, len(full.ids)) == ('b', 1)
+
+
+@pytest.mark.parametrize(
+    ('header', 'row', 'message'),
+    [
+        ('image,class,cx,cy,w,h,angle_deg', 'a,ship,0.5,0.5,0.1,0.2,30', 'fractions of the image?'),
+        ('image,class,cx,cy,w,h,angle_deg', 'a,ship,30,25,-4,10,30', 'negative size'),
+        ('image,class,cx,cy,w,h,angle_deg', 'a,ship,30,25,4,10,nan', 'not a finite number'),
+        ('image,class,xyxyxyxy', 'a,ship,[1 2 3 4]', 'xyxyxyxy has 4 numbers, expected 8'),
+        ('image,class,xyxyxyxy', 'a,ship,[[[[x', "'x' is not a number"),
+    ],
+)
+def test_a_malformed_box_of_other_columns_is_reported(
+    put: Put, header: str, row: str, message: str
+) -> None:
+    path = put('all.csv', _table(header, row))
+    with pytest.raises(LabelError) as caught:
+        list(read_labels(path))
+    assert (caught.value.path, caught.value.line) == (path, 2)
+    assert message in caught.value.message
 
 
 def test_rows_are_grouped_by_image_in_order_of_first_appearance(put: Put) -> None:
@@ -102,7 +185,14 @@ def test_a_table_with_only_a_header_has_no_images(put: Put) -> None:
         (HEADER.replace('class,', '').replace('x3,', ''), 'missing columns: class, x3 '),
         (HEADER.replace('image', 'file'), 'missing columns: image '),
         (HEADER.replace('hy1,', ''), 'missing columns: hy1 '),
-        (HEADER.replace(',', ';'), 'missing columns: image, instance, class, x1, '),
+        (HEADER.replace(',', ';'), 'separated by semicolons: separate the columns by commas'),
+        (HEADER.replace(',', '\t'), 'separated by tabs: separate the columns by commas'),
+        (f'{HEADER},X1', 'columns named more than once: x1'),
+        ('image,class,cx,cy,w,h,angle', "column 'angle' does not say its unit: call it angle_deg"),
+        ('image,class,cx,cy,w,h,Theta', "column 'theta' does not say its unit"),
+        ('image,class,cx,cy,w,h', 'need one column angle_deg or angle_rad'),
+        ('image,class,cx,cy,w,h,angle_deg,rad', 'need one column angle_deg or angle_rad'),
+        ('x_min,y_min,x_max,y_max,class_name', 'missing columns: image '),
         (f'{HEADER},x1', 'columns named more than once: x1'),
         (f'{HEADER},"x', 'not a CSV row'),
     ],
@@ -116,7 +206,7 @@ def test_an_unusable_header_is_an_error(put: Put, header: str, message: str) -> 
 
 
 def test_a_table_without_a_header_is_an_error_that_names_the_columns(put: Put) -> None:
-    with pytest.raises(LabelError, match=r'all\.csv: missing columns: image, instance, class, x1'):
+    with pytest.raises(LabelError, match=r'all\.csv: missing columns: image, class, x1'):
         list(read_labels(put('all.csv', '')))
 
 
@@ -160,7 +250,7 @@ def test_a_malformed_row_is_an_error_and_only_this_row_is_lost(
     assert message in errors[0].message
 
 
-@pytest.mark.parametrize('score', ['x', 'nan'])
+@pytest.mark.parametrize('score', ['x', 'inf'])
 def test_a_score_has_to_be_a_finite_number(put: Put, score: str) -> None:
     path = put('all.csv', _table(f'{HEADER},score', f'{FULL},{score}'))
     with pytest.raises(LabelError, match=rf":2: '{score}' is not a"):
