@@ -42,8 +42,8 @@ from obbhbb_ros.labels.label_file import raise_error
 from obbhbb_ros.labels.label_format import Format
 from obbhbb_ros.labels.label_format import names
 from obbhbb_ros.labels.shapes import check_coordinates
-from obbhbb_ros.labels.text import describe_text
 from obbhbb_ros.labels.text import packing
+from obbhbb_ros.labels.unread import describe
 from obbhbb_ros.labels.unread import unread_format
 
 # Blank files have the first format of their suffix.
@@ -186,7 +186,7 @@ def _problem(file: Path) -> str:
     if len(fitting) > 1:
         return f'it fits {names(fitting)}, name one of them'
     with file.open('rb') as stream:
-        return packing(stream.read(4)) or describe_text(head)
+        return packing(stream.read(4)) or describe(head)
 
 
 def _formats_of(file: Path) -> list[Format]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Formats of other tools that are recognised but not read, for an error that says so."""
+"""What a file is that no format reads: the error says it, by the name of its tool if known."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from functools import partial
 
 from obbhbb_ros.labels.documents import json_paths
+from obbhbb_ros.labels.text import SHOWN
+from obbhbb_ros.labels.text import describe_text
 from obbhbb_ros.labels.text import is_index
 from obbhbb_ros.labels.text import is_normalised
 from obbhbb_ros.labels.text import is_number
@@ -21,6 +23,8 @@ KITTI_FIELDS = (15, 16)
 UCAS_AOD_FIELDS = 13
 YOLO_FIELDS = (9, 10, 11)
 THREE_POINT_FIELDS = (7, 8)
+# The first element, behind declaration and comments.
+ROOT = re.compile(r'<([^\s!?/>]+)')
 # The last lines of the head may be cut off.
 LINES = 5
 
@@ -52,6 +56,26 @@ def unread_format(suffix: str, head: str) -> UnreadFormat | None:
     """Return the unread format that the beginning of a file has, if any."""
     fitting = (entry for entry in UNREAD if suffix in entry.suffixes and entry.sniff(head))
     return next(fitting, None)
+
+
+def describe(head: str) -> str:
+    """Say what the beginning of a file that no format fits looks like."""
+    begin = head.lstrip()
+    if begin.startswith(('{', '[')):
+        return _describe_json(head)
+    if (root := ROOT.search(begin)) is not None and begin.startswith('<'):
+        return f'XML with the root <{root[1][:SHOWN]}>'
+    return describe_text(head)
+
+
+def _describe_json(head: str) -> str:
+    paths = json_paths(head)
+    for start, what in (('{', 'a JSON object'), ('[{', 'a JSON array of objects')):
+        if start in paths:
+            inner = (path.removeprefix(start) for path in paths if path.startswith(start))
+            members = sorted(name for name in inner if name and not set(name) & set('{['))
+            return f'{what} with {", ".join(members)[:SHOWN] or "no members"}'
+    return 'a JSON array'
 
 
 def _json(name: str, *paths: str, advice: str = 'export as COCO') -> UnreadFormat:

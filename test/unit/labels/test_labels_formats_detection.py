@@ -107,8 +107,8 @@ def test_a_blank_file_has_the_first_format_of_its_suffix(put: Put) -> None:
         ('a.csv', CSV.encode('utf-16'), 'UTF-16 text: save it as UTF-8'),
         ('a.csv', gzip.compress(CSV.encode(), mtime=0), 'gzip-compressed: unpack it'),
         ('a.txt', b'PK\x03\x04', 'a ZIP archive: unpack it'),
-        ('a.xml', '<html>', "the first line is '<html>'"),
-        ('a.json', '{}', "the first line is '{}'"),
+        ('a.xml', '<html>', 'XML with the root <html>'),
+        ('a.json', '{}', 'a JSON object with no members'),
         ('labels', DOTA, "the first line is '2753"),
     ],
 )

@@ -87,6 +87,29 @@ def test_an_unread_format_is_refused_by_its_name(
     assert str(caught.value).startswith(f'{path}: ')
 
 
+@pytest.mark.parametrize(
+    ('name', 'text', 'message'),
+    [
+        ('a.json', '{"b": {"x": [1]}, "a": 2}', 'a JSON object with a, b: use'),
+        ('a.json', '{}', 'a JSON object with no members: use'),
+        ('a.json', '[{"u": {"x": [1]}, "v": 2}]', 'a JSON array of objects with u, v: use'),
+        ('a.json', '[1, [2]]', 'a JSON array: use'),
+        (
+            'a.xml',
+            '<?xml version="1.0"?><!-- a -->\n<html lang="en"><p>',
+            'XML with the root <html>',
+        ),
+        ('a.json', f'{{"{"n" * 999}": 1}}', f'with {"n" * 60}: use'),
+    ],
+)
+def test_a_file_of_an_unknown_format_is_described(
+    put: Put, name: str, text: str, message: str
+) -> None:
+    with pytest.raises(ValueError, match='cannot detect the label format: ') as caught:
+        detect_format(put(name, text))
+    assert message in str(caught.value)
+
+
 def test_an_unread_file_beside_label_files_is_not_in_the_way(put: Put, tmp_path: Path) -> None:
     put('a.txt', '2753 2408 2861 2385 2888 2468 2805 2502 ship 0\n')
     put('gt.txt', '1,-1,300.0,280.0,200.0,40.0,1,1,1.0\n')
