@@ -138,7 +138,7 @@ def _boxes(batch: pa.RecordBatch, columns: Sequence[str], degrees: bool) -> Orie
     if len(columns) not in {5, 8}:
         raise ValueError(f'columns must be eight, five or one, not {len(columns)}')
     pairs = zip(columns, arrays, strict=True)
-    numbers = np.array([_numbers(name, array) for name, array in pairs]).T
+    numbers = np.array([numbers_of(name, array) for name, array in pairs]).T
     if len(columns) == 8:
         return OrientedBoxes.from_corners(numbers)
     return OrientedBoxes.from_xywhr(numbers, degrees=degrees)
@@ -153,8 +153,8 @@ def _column(batch: pa.RecordBatch, name: str) -> pa.Array:
     return column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
 
 
-def _numbers(name: str, array: pa.Array) -> FloatArray:
-    """Return the numbers of a column, NaN where it has null."""
+def numbers_of(name: str, array: pa.Array) -> FloatArray:
+    """Return the numbers of a column, NaN where it has null; ValueError if it has no numbers."""
     kind = array.type
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
         raise ValueError(f'column {name!r} holds {kind}, not numbers')
@@ -171,7 +171,7 @@ def _of_lists(name: str, array: pa.Array) -> OrientedBoxes:
         lists = array.drop_null().cast(pa.list_(pa.float64(), 8))
     except pa.ArrowException as error:
         raise ValueError(f'column {name!r} holds no lists of eight numbers: {error}') from None
-    corners[given] = _numbers(name, lists.flatten()).reshape(-1, 8)
+    corners[given] = numbers_of(name, lists.flatten()).reshape(-1, 8)
     return OrientedBoxes.from_corners(corners)
 
 

@@ -23,6 +23,7 @@ from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.geometry.converter import convert_with_diagnostics
+from obbhbb_ros.labels import parquet
 from obbhbb_ros.labels import yolo
 from obbhbb_ros.labels.folders import bare_name
 from obbhbb_ros.labels.formats import box_format
@@ -32,6 +33,7 @@ from obbhbb_ros.labels.image_labels import BowSource
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.label_file import LabelError
+from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
 from obbhbb_ros.labels.losses import LossCount
 
@@ -233,6 +235,11 @@ def convert_file(
         malformed.append(error)
         report(str(error))
 
+    if source_labels.format is target_labels is parquet.FORMAT and source.is_file():
+        file, plain = LabelFile(source, on_error=skip), bow == 'none' and not diagnostics
+        tally = _rewritten(file, target, rule, caps, report) if plain else None
+        if tally is not None:
+            return replace(tally, malformed=len(malformed))
     labels = source_labels.read(image_size, skip)
     total = len(source_labels.files) if source.is_dir() else None
     convert = partial(convert_image, rule=rule, caps=caps, diagnostics=diagnostics, bow=bow)
@@ -246,6 +253,23 @@ def convert_file(
         assert target_labels.write_boxes is not None
         target_labels.write_boxes(target, images)
     return tally
+
+
+def _rewritten(
+    file: LabelFile, target: Path, rule: HullRule, caps: Caps, report: Callable[[str], None]
+) -> LabelTally | None:
+    """Convert from Parquet to Parquet as `parquet.rewrite` does."""
+    reasons: Counter[str] = Counter()
+
+    def refuse(labels: ImageLabels) -> None:
+        left_out = convert_image(labels, rule, caps).left_out
+        for row in range(len(labels.class_ids)):
+            reason = left_out.get(row, 'overflow')
+            reasons[reason] += 1
+            report(f'{labels.source}: image {labels.image!r}: a box left out: {reason}')
+
+    counts = parquet.rewrite(file, target, rule, caps, refuse)
+    return None if counts is None else LabelTally(*counts, dict(reasons), malformed=0)
 
 
 def _losses(target: Format, images: Iterable[ImageBoxes]) -> str:

@@ -26,6 +26,7 @@ from obbhbb_ros.labels import geojson
 from obbhbb_ros.labels import hrsc
 from obbhbb_ros.labels import label_studio
 from obbhbb_ros.labels import labelme
+from obbhbb_ros.labels import parquet
 from obbhbb_ros.labels import shapefile
 from obbhbb_ros.labels import ultralytics_json
 from obbhbb_ros.labels import voc
@@ -65,6 +66,7 @@ _ALL = (
     label_studio.FORMAT,
     ultralytics_json.FORMAT,
     shapefile.FORMAT,
+    parquet.FORMAT,
 )
 FORMATS: dict[str, Format] = {entry.name: entry for entry in _ALL}
 

@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 
 TARGETS = {
     'yolo': 'labels', 'coco': 'all.json', 'voc': 'annotations', 'geojson': 'all.geojson',
-    'csv': 'all.csv', 'shapefile': 'all.shp',
+    'csv': 'all.csv', 'shapefile': 'all.shp', 'parquet': 'all.parquet',
 }  # fmt: skip
-DIAGNOSED = ('coco', 'geojson', 'csv', 'shapefile')
+DIAGNOSED = ('coco', 'geojson', 'csv', 'shapefile', 'parquet')
+EXTRAS = {'shapefile': 'geopandas', 'parquet': 'pyarrow'}
 BOX = (10.25, 20.5, 50.125, 30.0)
 
 
@@ -62,12 +63,12 @@ def _boxes(
 
 
 def _target(tmp_path: Path, format_name: str) -> Path:
-    if format_name == 'shapefile':
-        pytest.importorskip('geopandas')
+    if format_name in EXTRAS:
+        pytest.importorskip(EXTRAS[format_name])
     return tmp_path / TARGETS[format_name]
 
 
-def test_six_formats_hold_axis_aligned_boxes() -> None:
+def test_these_formats_hold_axis_aligned_boxes() -> None:
     assert {name for name, each in FORMATS.items() if each.write_boxes} == set(TARGETS)
     holding = {name for name, form in FORMATS.items() if 'diagnostics' in form.holds}
     assert holding == set(DIAGNOSED)
@@ -134,6 +135,10 @@ def _geojson_row(path: Path) -> dict[str, object]:
     return json.loads(path.read_text())['features'][0]['properties']
 
 
+def _parquet_row(path: Path) -> dict[str, object]:
+    return pytest.importorskip('pyarrow.parquet').read_table(path).to_pylist()[0]
+
+
 def _shapefile_row(path: Path) -> dict[str, object]:
     geopandas = pytest.importorskip('geopandas')
     return geopandas.read_file(path).iloc[0].to_dict()
@@ -146,6 +151,7 @@ def _shapefile_row(path: Path) -> dict[str, object]:
         ('coco', _coco_row, None),
         ('geojson', _geojson_row, None),
         ('shapefile', _shapefile_row, float('nan')),
+        ('parquet', _parquet_row, None),
     ],
 )
 def test_diagnostics_are_columns_and_unknown_ones_are_empty(
