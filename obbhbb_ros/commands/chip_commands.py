@@ -8,10 +8,13 @@ from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from obbhbb_ros.commands.shared_options import add_number_options
+from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.files import write_text
+from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.image_files import find_images
 from obbhbb_ros.labels.image_files import load_image
@@ -44,7 +47,7 @@ def run_chips(options: Namespace) -> None:
     else:
         images = list(read_labels(options.labels))
         pictures = [
-            (image, np.atleast_3d(load_image(path)[1]))
+            (image, _picture(path, image))
             for image, path in zip(images, find_images(images), strict=True)
             if path is not None
         ]
@@ -59,6 +62,20 @@ def run_chips(options: Namespace) -> None:
 
         figures.save(figures.cost_figure(costs, *pictures[0], what), options.picture, dpi=75)
         print(f'\npicture: {options.picture}')
+
+
+def _picture(path: Path, labels: ImageLabels) -> NDArray[np.uint8]:
+    """Load the image of labels, (H, W, C); 16 bits are stretched. Say if labels lie outside it."""
+    _, pixels = load_image(path)
+    height, width = pixels.shape[:2]
+    size, centers = f'{width} x {height} px', labels.boxes().center
+    outside = np.count_nonzero(((centers < 0.0) | (centers > (width, height))).any(axis=1))
+    if outside:
+        note(f'obbhbb: {path}: {outside} of {len(centers)} labels lie outside its {size}')
+    if labels.size not in (None, (width, height)):
+        claimed = '{} x {} px'.format(*labels.size or ())
+        note(f'obbhbb: {path}: the image has {size}, its labels say {claimed}')
+    return np.atleast_3d(to_8_bits(pixels) if pixels.dtype.itemsize > 1 else pixels)
 
 
 def add_gallery_options(parser: ArgumentParser) -> None:

@@ -25,8 +25,12 @@ MAX_PIXELS = 2**30
 EXIF_ORIENTATION = 0x0112
 EXIF_TURNED = (5, 6, 7, 8)
 _EXACT_MODES = {'L': 'mono8', 'RGB': 'rgb8', 'RGBA': 'rgba8', 'I;16': 'mono16'}
-# Modes of grey images of 16 bits in Pillow before 10.3.
-_WIDER_MODES = ('I', 'I;16B', 'I;16L')
+# Modes of grey images of more than 8 bits; those of 16 bits are I in Pillow before 10.3.
+_WIDER_MODES = ('I', 'I;16B', 'I;16L', 'F')
+# Percent of the pixels of wider images that become black, and white.
+_CLIPPED = 0.5
+# A sample of the pixels says which: of each row and column at most so many.
+_MAX_SAMPLES = 1024
 
 
 def find_images(labels: Sequence[ImageLabels]) -> list[Path | None]:
@@ -125,21 +129,43 @@ def load_image(path: Path) -> tuple[str, NDArray[Any]]:
         As in `sensor_msgs/Image`: mono8, mono16, rgb8 or rgba8; other images are converted to
         rgb8.
     pixels : ndarray of uint8 or uint16, shape (H, W) or (H, W, C)
-        As the image is shown (EXIF orientation applied).
+        As the image is shown (EXIF orientation applied). Grey values that 16 bits do not hold,
+        such as fractions, are stretched to them: the darkest and the brightest half percent become
+        0 and 65535, and so do infinite ones; NaN becomes 0.
+
+    Raises
+    ------
+    ValueError
+        Also if it has colours of 16 bits, of which Pillow reads the upper 8 alone, or no finite
+        pixel.
     """
     from PIL import ImageOps
 
     with opened_image(path) as stored:
+        if ';16' in str(stored.tile) and stored.mode in ('LA', 'RGB', 'RGBA'):
+            raise ValueError(f'{path}: colours of 16 bits cannot be read: convert it to 8 bits')
         shown = ImageOps.exif_transpose(stored)
-        if shown.mode in _WIDER_MODES and (pixels := _as_16_bits(np.asarray(shown))) is not None:
-            return 'mono16', pixels
+        if shown.mode in _WIDER_MODES:
+            try:
+                return 'mono16', _as_16_bits(np.asarray(shown))
+            except ValueError as error:
+                raise ValueError(f'{path}: {error}') from None
         if shown.mode not in _EXACT_MODES:
             shown = shown.convert('RGB')
         return _EXACT_MODES[shown.mode], np.asarray(shown)
 
 
-def _as_16_bits(pixels: NDArray[Any]) -> NDArray[np.uint16] | None:
-    """Return the pixels as 16 bits, or None if they do not fit."""
-    if pixels.size and (pixels.min() < 0 or pixels.max() > np.iinfo(np.uint16).max):
-        return None
-    return pixels.astype(np.uint16)
+def _as_16_bits(pixels: NDArray[Any]) -> NDArray[np.uint16]:
+    """Return pixels, (H, W), as 16 bits, stretched if they do not fit; ValueError without any."""
+    most = np.iinfo(np.uint16).max
+    if pixels.dtype.kind in 'iu' and pixels.min(initial=0) >= 0 and pixels.max(initial=0) <= most:
+        return pixels.astype(np.uint16)
+    height, width = pixels.shape
+    sample = pixels[:: -(-height // _MAX_SAMPLES), :: -(-width // _MAX_SAMPLES)].astype(np.float64)
+    sample = sample[np.isfinite(sample)]
+    if not sample.size:
+        raise ValueError('the image has no finite pixel')
+    low, high = np.percentile(sample, (_CLIPPED, 100.0 - _CLIPPED))
+    span = high - low
+    stretched = (pixels - low) * (most / span if span > 0.0 else 0.0)
+    return np.nan_to_num(np.clip(stretched, 0.0, most)).astype(np.uint16)

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What chips cost by method, on the synthetic harbour and on images beside their labels."""
 
+import re
 import shutil
+import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from PIL import Image
 
 from obbhbb_ros.cli import main
 from obbhbb_ros.downlink.chips import encode
+from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.labels import image_files
 from obbhbb_ros.labels import read_labels
@@ -143,3 +147,101 @@ def test_grey_images_of_16_bits_keep_their_depth(tmp_path, mode) -> None:
     encoding, pixels = load_image(tmp_path / 'a.tiff')
     assert (encoding, pixels.dtype) == ('mono16', np.uint16)
     np.testing.assert_array_equal(pixels, seen)
+
+
+def tiff_of_16_bits(values):
+    """Write the TIFF file of colours of 16 bits, (H, W, 3), uncompressed."""
+    height, width, _ = values.shape
+    data = values.astype('<u2').tobytes()
+    tags = [
+        (256, 3, 1, width), (257, 3, 1, height), (258, 3, 3, 8 + len(data)), (259, 3, 1, 1),
+        (262, 3, 1, 2), (273, 4, 1, 8), (277, 3, 1, 3), (278, 3, 1, height), (279, 4, 1, len(data)),
+    ]  # fmt: skip
+    entries = b''.join(struct.pack('<HHII', *tag) for tag in tags)
+    bits = struct.pack('<3H', 16, 16, 16)
+    start = struct.pack('<2sHI', b'II', 42, 8 + len(data) + len(bits))
+    return start + data + bits + struct.pack('<H', len(tags)) + entries + bytes(4)
+
+
+def png_of_16_bits(values):
+    """Write the PNG file of colours of 16 bits, (H, W, 3)."""
+    height, width, _ = values.shape
+
+    def chunk(name, data):
+        return (
+            struct.pack('>I', len(data)) + name + data + struct.pack('>I', zlib.crc32(name + data))
+        )
+
+    rows = b''.join(bytes(1) + row.astype('>u2').tobytes() for row in values)
+    head = struct.pack('>IIBBBBB', width, height, 16, 2, 0, 0, 0)
+    chunks = chunk(b'IHDR', head) + chunk(b'IDAT', zlib.compress(rows)) + chunk(b'IEND', b'')
+    return b'\x89PNG\r\n\x1a\n' + chunks
+
+
+@pytest.mark.parametrize(('name', 'write'), [('a.tif', tiff_of_16_bits), ('a.png', png_of_16_bits)])
+def test_colours_of_16_bits_are_refused_with_the_reason(tmp_path, name, write) -> None:
+    # 11 bits, as satellites have them: the upper 8 are almost black.
+    values = np.random.default_rng(1).integers(0, 2048, (6, 5, 3))
+    (tmp_path / name).write_bytes(write(values))
+    with opened_image(tmp_path / name) as stored:
+        assert np.asarray(stored).max() < 8
+    with pytest.raises(ValueError, match=rf'{name}: colours of 16 bits cannot be read'):
+        load_image(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ('low', 'high', 'dtype'),
+    [(0.0, 1.0, np.float32), (-30.0, 5.0, np.float32), (0, 10**6, np.int32), (-500, 900, np.int32)],
+)
+def test_values_that_16_bits_do_not_hold_are_stretched(tmp_path, low, high, dtype) -> None:
+    values = np.linspace(low, high, 64 * 64).reshape(64, 64).astype(dtype)
+    Image.fromarray(values).save(tmp_path / 'a.tif')
+    encoding, pixels = load_image(tmp_path / 'a.tif')
+    assert encoding == 'mono16'
+    assert (np.diff(pixels.ravel().astype(int)) >= 0).all()
+    assert (pixels == 0).mean() == pytest.approx(0.005, abs=0.001)
+    assert (pixels == 65535).mean() == pytest.approx(0.005, abs=0.001)
+
+
+def test_pixels_that_are_no_numbers_are_black_and_do_not_darken_the_others(tmp_path) -> None:
+    values = np.linspace(0.0, 1.0, 64 * 64, dtype=np.float32).reshape(64, 64)
+    values[0, :3] = np.nan, -np.inf, np.inf
+    Image.fromarray(values).save(tmp_path / 'a.tif')
+    _, pixels = load_image(tmp_path / 'a.tif')
+    assert pixels[0, :3].tolist() == [0, 0, 65535]
+    assert 30_000 < pixels.mean() < 36_000
+
+
+def test_an_image_without_a_number_is_an_error_that_names_it(tmp_path) -> None:
+    Image.fromarray(np.full((4, 4), np.nan, np.float32)).save(tmp_path / 'a.tif')
+    with pytest.raises(ValueError, match=r'a\.tif: the image has no finite pixel'):
+        load_image(tmp_path / 'a.tif')
+
+
+@pytest.mark.parametrize('dtype', [np.uint16, np.float32])
+def test_chips_of_deep_images_are_as_bright_as_those_of_8_bits(
+    folder, tmp_path, capsys, dtype
+) -> None:
+    grey = np.asarray(Image.open(folder / 'harbour.png').convert('L'))
+    (folder / 'harbour.png').unlink()
+    deep = (grey * (8.0 if dtype == np.uint16 else 1 / 255)).astype(dtype)
+    Image.fromarray(deep).save(folder / 'harbour.tif')
+    assert main(['chips', str(folder), '--picture', str(tmp_path / 'costs.png')]) == 0
+    of_deep = capsys.readouterr().out
+    (folder / 'harbour.tif').unlink()
+    Image.fromarray(to_8_bits(grey)).save(folder / 'harbour.png')
+    assert main(['chips', str(folder)]) == 0
+    of_8_bits = capsys.readouterr().out
+    # Pixels, and bytes by codec.
+    costs = [list(map(int, re.findall(r'(\d+) \(', text))) for text in (of_deep, of_8_bits)]
+    assert costs[0]
+    np.testing.assert_allclose(*costs, rtol=0.01)
+
+
+def test_an_image_smaller_than_its_labels_is_said(folder, capsys) -> None:
+    with Image.open(folder / 'harbour.png') as whole:
+        whole.crop((0, 0, 40, 30)).save(folder / 'harbour.png')
+    main(['chips', str(folder)])
+    said = capsys.readouterr().err
+    assert 'labels lie outside its 40 x 30 px' in said
+    assert 'harbour.png' in said
