@@ -68,7 +68,9 @@ def annotated_box(
     properties = documents.json_properties(annotation, MEMBERS)
     if isinstance(attributes, dict) and ROTATION in attributes:
         # It would turn the upright box that is written.
-        properties[ATTRIBUTES] = documents.json_properties(attributes, (ROTATION,))
+        del properties[ATTRIBUTES]
+        if others := documents.json_properties(attributes, (ROTATION,)):
+            properties[ATTRIBUTES] = others
     box = Box(
         corners,
         class_id,

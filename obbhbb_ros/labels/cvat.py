@@ -35,12 +35,14 @@ from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_file import Record
 from obbhbb_ros.labels.label_format import Format
+from obbhbb_ros.labels.text import is_index
 from obbhbb_ros.labels.text import parse_number
 from obbhbb_ros.labels.text import parse_numbers
 from obbhbb_ros.labels.xml_files import read_xml
 
 ROOT = 'annotations'
 BOUNDS = ('xtl', 'ytl', 'xbr', 'ybr')
+MAX_DIGITS = 18
 PLACE = ('left', 'top', 'width', 'height')
 
 Shape: TypeAlias = tuple[str, Element]
@@ -52,7 +54,10 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
     boxes = shapes.enclose(file, file.parse_records(_records(root, lines), _parse))
     for key, image in enumerate(root.iterfind('image')):
         size = image_size_of(image.get('width'), image.get('height'))
-        yield file.image(image.get('name', ''), boxes.get(str(key), []), size)
+        number = image.get('id', '')
+        image_id = int(number) if is_index(number) and len(number) <= MAX_DIGITS else None
+        rows = boxes.get(str(key), [])
+        yield file.image(image.get('name', ''), rows, size, image_id=image_id)
 
 
 def _records(root: Element, lines: Mapping[Element, int]) -> Iterator[Record[Shape]]:

@@ -26,6 +26,7 @@ from collections.abc import Iterator
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
+from typing import NamedTuple
 
 from obbhbb_ros.labels import documents
 from obbhbb_ros.labels import masks
@@ -35,7 +36,6 @@ from obbhbb_ros.labels.image_labels import ImageSize
 from obbhbb_ros.labels.label_file import NO_REFERENCE
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelFile
-from obbhbb_ros.labels.label_file import Record
 from obbhbb_ros.labels.label_format import Format
 
 ITEMS = 'items'
@@ -46,25 +46,31 @@ CROWD = 'is_crowd'
 IMAGE_TYPES = ('label', 'caption')
 
 
+class DatumaroItem(NamedTuple):
+    """An image: its names, its size where it is known, and its annotations."""
+
+    name: str
+    file_name: str
+    size: ImageSize | None
+    annotations: list[Any]
+
+
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
     document = documents.read_json(file)
     if not isinstance(document, dict) or not isinstance(document.get(ITEMS), list):
         raise file.error(f'not Datumaro JSON: no array {ITEMS!r}')
-    names = _class_names(document)
-    items = [
-        (place, item, name)
-        for _, place, (item, name) in file.parse_records(
-            documents.numbered(ITEMS, document[ITEMS]), _item
-        )
-    ]
+    parse = partial(_annotation, _class_names(document))
+    items = list(file.parse_records(documents.numbered(ITEMS, document[ITEMS]), _item))
     records = (
         (line, f'{place.removesuffix(": ")}.{part}', (str(key), annotation))
-        for key, (place, item, _) in enumerate(items)
-        for line, part, annotation in _annotations(item)
+        for key, (_, place, item) in enumerate(items)
+        for line, part, annotation in documents.numbered(ANNOTATIONS, item.annotations)
+        if not _is_of_image(annotation)
     )
-    boxes = shapes.enclose(file, file.parse_records(records, partial(_annotation, names)))
-    for key, (_, item, name) in enumerate(items):
-        yield file.image(name, boxes.get(str(key), []), _size(item))
+    boxes = shapes.enclose(file, file.parse_records(records, parse))
+    for key, (_, _, item) in enumerate(items):
+        rows = boxes.get(str(key), [])
+        yield file.image(item.name, rows, item.size, file_name=item.file_name)
 
 
 def _class_names(document: dict[str, Any]) -> list[str]:
@@ -75,27 +81,27 @@ def _class_names(document: dict[str, Any]) -> list[str]:
         return []
 
 
-def _item(item: Any) -> tuple[dict[str, Any], str]:
+def _item(item: Any) -> DatumaroItem:
     name = documents.json_member(item, 'id')
     if not isinstance(name, str) or not name:
         raise ValueError("'id' is not a name")
-    if not isinstance(item.get(ANNOTATIONS, []), list):
+    annotations = item.get(ANNOTATIONS, [])
+    if not isinstance(annotations, list):
         raise ValueError(f'{ANNOTATIONS!r} is not an array')
-    return item, documents.plain_text(name)
-
-
-def _annotations(item: dict[str, Any]) -> Iterator[Record[Any]]:
-    for record in documents.numbered(ANNOTATIONS, item.get(ANNOTATIONS, [])):
-        if not (isinstance(record[2], dict) and record[2].get('type') in IMAGE_TYPES):
-            yield record
-
-
-def _size(item: dict[str, Any]) -> ImageSize | None:
     image = item.get('image')
-    size = image.get('size') if isinstance(image, dict) else None
+    image = image if isinstance(image, dict) else {}
+    path = documents.plain_text(image.get('path'))
+    return DatumaroItem(documents.plain_text(name), path, _size(image.get('size')), annotations)
+
+
+def _size(size: object) -> ImageSize | None:
     if not isinstance(size, list) or len(size) < 2:
         return None
     return documents.image_size_of(size[1], size[0])
+
+
+def _is_of_image(annotation: object) -> bool:
+    return isinstance(annotation, dict) and annotation.get('type') in IMAGE_TYPES
 
 
 def _annotation(names: Sequence[str], record: tuple[str, Any]) -> shapes.Outlined:

@@ -43,7 +43,8 @@ def _read(file: LabelFile) -> list[ImageLabels]:
     root, objects = read_objects(file, ROOT, f'{OBJECTS}/object')
     image = file.path.stem
     boxes = shapes.enclose(file, file.parse_records(objects, partial(_parse, image)))
-    return [file.image(image, boxes.get(image, []), size_of(root, 'size/width', 'size/height'))]
+    size, file_name = size_of(root, 'size/width', 'size/height'), text_of(root, 'source/filename')
+    return [file.image(image, boxes.get(image, []), size, file_name=file_name)]
 
 
 def _parse(image: str, element: Element) -> shapes.Outlined:

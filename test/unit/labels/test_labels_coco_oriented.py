@@ -68,6 +68,9 @@ def test_a_rotation_that_is_used_is_not_kept_as_a_property(put: Put) -> None:
     annotation = {'bbox': UNTURNED, 'attributes': attributes, 'mmsi': 7}
     (labels,) = read_labels(put('a.json', _coco(annotation)))
     assert labels.extras.properties == {'attributes': ({'occluded': False},), 'mmsi': (7,)}
+    del attributes['occluded']
+    (labels,) = read_labels(put('a.json', _coco(annotation)))
+    assert labels.extras.properties == {'mmsi': (7,)}
 
 
 @pytest.mark.parametrize('rotation', [0, 0.0, None])
@@ -185,6 +188,7 @@ BBOX = {'id': 1, 'type': 'bbox', 'label_id': 1, 'bbox': UNTURNED, 'attributes': 
 def test_datumaro_boxes_and_polygons_are_read(put: Put, annotation: dict[str, Any]) -> None:
     (labels,) = read_labels(put('a.json', _datumaro(annotation, {'type': 'label', 'label_id': 0})))
     assert (labels.image, labels.size, labels.class_ids) == ('a', (1000, 800), ('tug',))
+    assert labels.extras.file_name == 'a.jpg'
     _assert_turned(labels)
 
 

@@ -41,6 +41,7 @@ def test_boxes_polygons_and_masks_are_read(put: Put) -> None:
     path = put('a.xml', _cvat(_image(TURNED, POLYGON, MASK), _image(BOX.format(''), name='b')))
     first, second = read_labels(path)
     assert (first.image, first.size) == ('a.jpg', (1000, 800))
+    assert first.extras.image_id == 0
     assert first.class_ids == ('ship', 'tug', 'ship')
     boxes = first.boxes()
     np.testing.assert_allclose(boxes.center[:2], [[400, 300]] * 2, atol=0.01)

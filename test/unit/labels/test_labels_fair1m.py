@@ -34,6 +34,7 @@ FAIR1M = """<?xml version="1.0" encoding="utf-8"?>
 def test_corners_class_and_size_are_read(put: Put) -> None:
     (labels,) = read_labels(put('7.xml', FAIR1M.format(SHIP)))
     assert (labels.image, labels.size, labels.class_ids) == ('7', (1000, 800), ('Dry Cargo Ship',))
+    assert labels.extras.file_name == '7.tif'
     assert labels.hulls == (None,)
     assert np.isnan(labels.reference).all()
     boxes = labels.boxes()
