@@ -21,6 +21,7 @@ from obbhbb_ros.labels import csv_tables
 from obbhbb_ros.labels import cvat
 from obbhbb_ros.labels import datumaro
 from obbhbb_ros.labels import dota
+from obbhbb_ros.labels import dota_results
 from obbhbb_ros.labels import fair1m
 from obbhbb_ros.labels import geojson
 from obbhbb_ros.labels import hrsc
@@ -32,6 +33,7 @@ from obbhbb_ros.labels import ultralytics_json
 from obbhbb_ros.labels import voc
 from obbhbb_ros.labels import yolo
 from obbhbb_ros.labels.folders import label_files
+from obbhbb_ros.labels.image_grouper import concatenated
 from obbhbb_ros.labels.image_labels import MIN_HULL_POINTS
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
@@ -50,6 +52,7 @@ from obbhbb_ros.labels.unread import unread_format
 # Blank files have the first format of their suffix.
 _ALL = (
     dota.FORMAT,
+    dota_results.FORMAT,
     yolo.ORIENTED,
     yolo.UPRIGHT,
     csv_tables.CORNER_TABLE,
@@ -101,7 +104,8 @@ class LabelSource:
     ) -> Iterator[ImageLabels]:
         """Read the files one by one; options and errors are those of `read_labels`."""
         size = None if image_size is None else _checked_size(image_size)
-        return self._images(size, on_error or raise_error)
+        images = self._images(size, on_error or raise_error)
+        return _gathered(images) if self.format.spread else images
 
     def _images(self, size: ImageSize | None, on_error: OnError) -> Iterator[ImageLabels]:
         for file in self.files:
@@ -109,6 +113,14 @@ class LabelSource:
                 yield from self.format.read(LabelFile(file, size, on_error))
             except FileError as error:
                 on_error(error)
+
+
+def _gathered(images: Iterable[ImageLabels]) -> Iterator[ImageLabels]:
+    """Join the boxes of each image from all files; source is the first file that has it."""
+    parts: dict[str, list[ImageLabels]] = {}
+    for image in images:
+        parts.setdefault(image.image, []).append(image)
+    return map(concatenated, parts.values())
 
 
 def find_labels(path: Path, name: str | None = None) -> LabelSource:

@@ -44,6 +44,8 @@ class Format:
         What `write_boxes` writes besides boxes and classes.
     reserved : collection of str
         Names, in lower case, that a property cannot have, since the format has them itself.
+    spread : bool
+        Whether the boxes of an image may be in several files.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Format:
     write_boxes: Callable[[Path, list[ImageBoxes]], None] | None = None
     holds: Collection[Part] = ()
     reserved: Collection[str] = ()
+    spread: bool = False
 
 
 def names(formats: Iterable[Format]) -> str:

@@ -19,6 +19,7 @@ from obbhbb_ros.labels import read_labels
 
 SOUND = {
     'dota': 'imagesource:x\n10 20 50 20 50 30 10 30 ship 0\n',
+    'dota_results': 'P1 0.5 10 20 50 20 50 30 10 30\n',
     'yolo_obb': '0 0.1 0.2 0.5 0.2 0.5 0.3 0.1 0.3 0.9 4\n',
     'yolo': '0 0.3 0.25 0.4 0.1 0.9 4\n',
     'csv': 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\na,0,s,1,2,9,2,9,4,1,4\n',

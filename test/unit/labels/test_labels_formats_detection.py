@@ -24,8 +24,8 @@ CSV = 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\n'
 
 def test_the_registry_has_every_format_under_its_own_name() -> None:
     assert list(FORMATS) == [
-        'dota', 'yolo_obb', 'yolo', 'csv', 'wkt', 'hrsc', 'voc', 'cvat', 'fair1m', 'coco',
-        'coco_results', 'datumaro', 'geojson', 'labelme', 'label_studio', 'ultralytics',
+        'dota', 'dota_results', 'yolo_obb', 'yolo', 'csv', 'wkt', 'hrsc', 'voc', 'cvat', 'fair1m',
+        'coco', 'coco_results', 'datumaro', 'geojson', 'labelme', 'label_studio', 'ultralytics',
         'shapefile', 'parquet',
     ]  # fmt: skip
     for name, entry in FORMATS.items():
