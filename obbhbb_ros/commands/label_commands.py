@@ -47,8 +47,9 @@ def add_convert_options(parser: ArgumentParser) -> None:
     add_number_options(parser, rule, PARAMETERS)
     add_end_options(parser)
     add_bow_option(parser, BOW_SOURCES)
-    add('--max-length', type=float, help='maximum of the longer side, pixels')
-    add('--max-width', type=float, help='maximum of the shorter side, pixels')
+    for side, name in (('longer', 'length'), ('shorter', 'width')):
+        text = f'maximum of the {side} side, pixels or units of the map; with m, metres: 400m'
+        add(f'--max-{name}', metavar='NUMBER[m]', help=text)
     add(
         '--diagnostics',
         action='store_true',
@@ -68,17 +69,19 @@ def run_convert(options: Namespace) -> int:
     rule = converter.HullRule(
         options.method, options.q, options.f, options.s, options.q_bow, options.q_stern
     )
+    caps, metres = _parse_caps(options.max_length, options.max_width)
     with without_garbage_collection():
         tally = convert_file(
             options.source,
             options.target,
             rule,
-            converter.Caps(options.max_length, options.max_width),
+            caps,
             source_format=options.source_format,
             target_format=options.target_format,
             image_size=options.image_size,
             diagnostics=options.diagnostics,
             bow=options.bow,
+            metres=metres,
             report=note,
             progress=lambda images, total: track(images, 'converting', total),
         )
@@ -87,3 +90,16 @@ def run_convert(options: Namespace) -> int:
         print(f'obbhbb: nothing to convert in {options.source}', file=sys.stderr)
         return 1
     return 1 if options.strict and not tally.complete else 0
+
+
+def _parse_caps(*texts: str | None) -> tuple[converter.Caps, bool]:
+    """Parse maximum length and width; the second result says whether they are in metres."""
+    given = [text for text in texts if text is not None]
+    in_metres = {text.endswith('m') for text in given}
+    if len(in_metres) > 1:
+        raise ValueError(f'give both --max-length and --max-width in metres, or none: {given}')
+    try:
+        values = [None if text is None else float(text.removesuffix('m')) for text in texts]
+    except ValueError:
+        raise ValueError(f'a maximum is a number or metres, as 400m: {", ".join(given)}') from None
+    return converter.Caps(*values), True in in_metres

@@ -23,6 +23,7 @@ from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.geometry.converter import convert_with_diagnostics
+from obbhbb_ros.labels import maps
 from obbhbb_ros.labels import parquet
 from obbhbb_ros.labels import yolo
 from obbhbb_ros.labels.folders import bare_name
@@ -32,6 +33,7 @@ from obbhbb_ros.labels.image_files import stored_size
 from obbhbb_ros.labels.image_labels import BowSource
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.image_labels import ImageSize
 from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
@@ -122,18 +124,33 @@ def convert_image(
     caps: Caps = NO_CAPS,
     diagnostics: bool = False,
     bow: BowSource = 'none',
+    *,
+    metres: bool = False,
 ) -> ConvertedImage:
     """
     Convert the boxes of an image, and say how they were computed if `diagnostics`.
 
-    `bow` says how the bow is known, as in `ImageLabels.boxes`.
+    `bow` says how the bow is known, as in `ImageLabels.boxes`. With `metres`, and where the labels
+    are in degrees, caps and lengths are in metres on the ground. Raises ValueError if the caps
+    cannot be applied.
     """
+    in_degrees = labels.extras.label_set.in_degrees
+    if in_degrees and caps != NO_CAPS and not metres:
+        raise ValueError(f'{labels.source}: in degrees: give the caps in metres, for example 400m')
+    scale = maps.metres_per_unit(labels)[:, None] if metres or in_degrees else None
+    if scale is not None:
+        # A box that is scaled with all its coordinates has a result that is scaled likewise.
+        labels = replace(labels, corners=labels.corners * scale[:, :, None])
     boxes = labels.boxes(bow)
     xyxy = convert_by_rule(boxes, rule, caps)
+    if scale is not None:
+        xyxy /= scale
     # The area must be finite too, since COCO files contain it.
     with np.errstate(over='ignore', invalid='ignore'):
         finite = np.isfinite((xyxy[:, 2:] - xyxy[:, :2]).prod(axis=1))
     rows = np.flatnonzero(finite)
+    if in_degrees:
+        xyxy = maps.boxes_in_degrees(xyxy)
     converted = ImageBoxes(
         image=labels.image,
         xyxy=xyxy[rows],
@@ -195,6 +212,7 @@ def convert_file(
     bow: BowSource = 'none',
     report: Callable[[str], None],
     progress: Progress = lambda images, _: images,
+    metres: bool = False,
 ) -> LabelTally:
     """
     Read a file or folder of oriented boxes and write one of axis-aligned boxes.
@@ -218,6 +236,8 @@ def convert_file(
     progress : callable, optional
         Gets the images as they are read and the number of files if `source` is a folder; passes
         the images on and shows the progress.
+    metres : bool
+        Whether the caps are metres on the ground instead of units of the coordinates.
 
     Raises
     ------
@@ -236,16 +256,19 @@ def convert_file(
         report(str(error))
 
     if source_labels.format is target_labels is parquet.FORMAT and source.is_file():
-        file, plain = LabelFile(source, on_error=skip), bow == 'none' and not diagnostics
+        file = LabelFile(source, on_error=skip)
+        plain = bow == 'none' and not diagnostics and not metres
         tally = _rewritten(file, target, rule, caps, report) if plain else None
         if tally is not None:
             return replace(tally, malformed=len(malformed))
     labels = source_labels.read(image_size, skip)
     total = len(source_labels.files) if source.is_dir() else None
-    convert = partial(convert_image, rule=rule, caps=caps, diagnostics=diagnostics, bow=bow)
+    convert = partial(
+        convert_image, rule=rule, caps=caps, diagnostics=diagnostics, bow=bow, metres=metres
+    )
     images, tally = convert_labels(progress(labels, total), convert, report)
     bows = None if bow == 'none' else tally.bows
-    losses = _losses(target_labels, images)
+    losses = _losses(target_labels, images, image_size)
     tally = replace(tally, malformed=len(malformed), bows=bows, losses=losses)
     if tally.readable:
         if target_labels is yolo.UPRIGHT:
@@ -272,8 +295,10 @@ def _rewritten(
     return None if counts is None else LabelTally(*counts, dict(reasons), malformed=0)
 
 
-def _losses(target: Format, images: Iterable[ImageBoxes]) -> str:
-    count = LossCount(target.holds, target.reserved)
+def _losses(target: Format, images: Iterable[ImageBoxes], image_size: ImageSize | None) -> str:
+    # A size that the caller passes is not one of the labels.
+    holds = {*target.holds, *(('image sizes',) if image_size else ())}
+    count = LossCount(holds, target.reserved)
     for image in images:
         count.add(image)
     return f'{target.name}: {count}' if str(count) else ''

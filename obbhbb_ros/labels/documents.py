@@ -149,6 +149,9 @@ def _json_property(name: str, value: Any, depth: int) -> Any:
         return {plain_text(key): _json_property(name, item, depth + 1) for key, item in items}
     if isinstance(value, str):
         return plain_text(value)
+    if not isinstance(value, int | float | None):
+        # The reader of a format has replaced the coordinates of a geometry.
+        raise ValueError(f'{name!r} holds a geometry')
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

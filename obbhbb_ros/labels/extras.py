@@ -32,10 +32,14 @@ class LabelSet:
     crs : str
         Reference system of the coordinates, as GIS libraries take it: ``EPSG:32633`` or WKT;
         '' for pixels.
+    in_degrees : bool
+        Whether `crs` is in degrees, and the coordinates of `ImageLabels` are in the plane of
+        `obbhbb_ros.labels.degrees`.
     """
 
     categories: Mapping[str, Id] = field(default_factory=dict)
     crs: str = ''
+    in_degrees: bool = False
 
 
 NO_SET = LabelSet()

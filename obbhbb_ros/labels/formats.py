@@ -27,6 +27,7 @@ from obbhbb_ros.labels import geojson
 from obbhbb_ros.labels import hrsc
 from obbhbb_ros.labels import label_studio
 from obbhbb_ros.labels import labelme
+from obbhbb_ros.labels import maps
 from obbhbb_ros.labels import parquet
 from obbhbb_ros.labels import shapefile
 from obbhbb_ros.labels import ultralytics_json
@@ -330,7 +331,7 @@ def write_labels(
     able = [entry for entry in FORMATS.values() if entry.write is not None]
     write = _format_to_write(path, format, able, 'oriented boxes').write
     assert write is not None
-    checked = list(images)
+    checked = [maps.restored(labels) for labels in images]
     for labels in checked:
         _check(labels)
     write(path, checked)

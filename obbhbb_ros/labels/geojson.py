@@ -8,11 +8,13 @@ GeoJSON: a FeatureCollection of polygons, one ship per feature.
       {"type": "Feature", "id": 7, "properties": {"image": "P0706", "class": "ship", "score": 0.9},
        "geometry": {"type": "Polygon", "coordinates": [[[284, 466], [274, 456], [300, 427]]]}}]}
 
-All coordinates are read as pixels; their reference system is neither read nor written. Boxes are
-aligned with its axes, and both axes need the same unit: metres or pixels, not degrees. The oriented
-box is the minimum rotated rectangle of the polygon, or of all parts of a multi-polygon; four
-corners are a box. Features that name no image belong to an image named after the file. Images
-without boxes have no feature: a file without features is read as one image without boxes.
+Coordinates are pixels, or in the reference system of ``crs``, which is written again. Without one
+they are in degrees, as the standard has it, if the ships are smaller than a tenth of a unit, see
+`obbhbb_ros.labels.maps`. Boxes are aligned with the axes of the system. All other properties are
+kept. The oriented box is the minimum rotated rectangle of the polygon, or of all parts of a
+multi-polygon; four corners are a box. Features that name no image belong to an image named after
+the file. Images without boxes have no feature: a file without features is read as one image without
+boxes.
 """
 
 from __future__ import annotations
@@ -26,8 +28,10 @@ from typing import Any
 
 from obbhbb_ros.files import write_pieces
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.labels import maps
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels.documents import json_member
+from obbhbb_ros.labels.documents import json_properties
 from obbhbb_ros.labels.documents import numbered
 from obbhbb_ros.labels.documents import read_json
 from obbhbb_ros.labels.image_labels import ImageBoxes
@@ -40,9 +44,24 @@ POLYGONS = ('Polygon', 'MultiPolygon')
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
-    features = numbered('features', _consumed(_features(file, read_json(file, _shorten))))
+    document = read_json(file, _shorten)
+    features = numbered('features', _consumed(_features(file, document)))
     records = file.parse_records(features, partial(_record, file.path.stem))
-    return file.images(shapes.enclose(file, records) or {file.path.stem: []})
+    crs = _system(file, document)
+    return maps.map_images(file, records, lambda: crs)
+
+
+def _system(file: LabelFile, document: dict[str, Any]) -> str | None:
+    """Return the reference system, '' if it is null, and None if there is none."""
+    if 'crs' not in document:
+        return None
+    if document['crs'] is None:
+        return ''
+    try:
+        name = json_member(json_member(document['crs'], 'properties'), 'name')
+    except ValueError as error:
+        raise file.error(f"'crs' does not name a reference system: {error}") from None
+    return maps.LONGITUDE_LATITUDE if str(name).endswith(':CRS84') else str(name)
 
 
 def _shorten(member: dict[str, Any]) -> dict[str, Any]:
@@ -87,8 +106,8 @@ def _record(default_image: str, feature: Any) -> shapes.Outlined:
     if not isinstance(properties, dict):
         raise ValueError("'properties' is not a JSON object")
     # An id in the properties is the user's; the one of the feature may be a running number.
-    fields = {'id': feature.get('id'), **properties}
-    return shapes.feature_record(default_image, fields, _rings(geometry))
+    rings, fields = _rings(geometry), json_properties(properties, ())
+    return shapes.feature_record(default_image, fields, rings, feature.get('id'))
 
 
 def _rings(geometry: object) -> list[FloatArray]:
@@ -105,13 +124,26 @@ def _rings(geometry: object) -> list[FloatArray]:
 
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
     properties, boxes = shapes.box_features(images)
+    crs = shapes.only_system(images)
+    start = f'{{"type": "FeatureCollection", {_crs_member(crs)}"features": ['
     dump = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
     features = (
         f'{", " if index else ""}'
         + dump({'type': 'Feature', 'properties': fields, 'geometry': _polygon(*box)})
         for index, (fields, box) in enumerate(zip(properties, boxes.tolist(), strict=True))
     )
-    write_pieces(path, chain(['{"type": "FeatureCollection", "features": ['], features, [']}\n']))
+    write_pieces(path, chain([start], features, [']}\n']))
+
+
+def _crs_member(crs: str) -> str:
+    """Return the member that names a reference system; none for degrees, as the standard has it."""
+    if not crs:
+        return '"crs": null, '
+    code = maps.code_of(crs)
+    if code in (maps.LONGITUDE_LATITUDE, 'EPSG:4326'):
+        return ''
+    name = f'urn:ogc:def:crs:{code.replace(":", "::")}'
+    return f'"crs": {json.dumps({"type": "name", "properties": {"name": name}})}, '
 
 
 def _polygon(x_min: float, y_min: float, x_max: float, y_max: float) -> dict[str, object]:
@@ -127,5 +159,6 @@ FORMAT = Format(
     sniff=lambda head: any(mark in head for mark in MARKS),
     read=_read,
     write_boxes=_write_boxes,
-    holds=('diagnostics', 'scores', 'ids'),
+    holds=shapes.FEATURES_HOLD,
+    reserved=shapes.FEATURE_FIELDS,
 )

@@ -21,6 +21,7 @@ from obbhbb_ros.geometry.boxes import Defect
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.boxes import range_defect
+from obbhbb_ros.labels.documents import parse_difficulty
 from obbhbb_ros.labels.documents import plain_text
 from obbhbb_ros.labels.image_labels import MIN_HULL_POINTS
 from obbhbb_ros.labels.image_labels import ImageBoxes
@@ -29,6 +30,7 @@ from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_file import Record
+from obbhbb_ros.labels.losses import Part
 from obbhbb_ros.labels.text import parse_score
 
 Corners = tuple[float, float, float, float, float, float, float, float]
@@ -38,6 +40,13 @@ IMAGE = ('image', 'image_id', 'file_name', 'filename')
 CLASS = ('class', 'class_id', 'category', 'label', 'name')
 SCORE = ('score', 'confidence')
 INSTANCE = ('instance', 'id')
+
+# Fields of geographic features that are not other properties.
+FEATURE_FIELDS = ('image', 'instance', 'class', 'score', 'crowd', 'difficulty')
+FEATURES_HOLD: tuple[Part, ...] = (
+    'diagnostics', 'scores', 'ids', 'crowd marks', 'difficulties', 'properties', 'reference system',
+)  # fmt: skip
+CROWD_VALUES = {'': False, '0': False, 'false': False, '1': True, 'true': True}
 
 BOX_CORNERS = 4
 PROBLEMS = {
@@ -185,20 +194,40 @@ def check_coordinates(points: FloatArray) -> None:
 
 
 def feature_record(
-    default_image: str, properties: Mapping[str, Any], rings: Sequence[FloatArray]
+    default_image: str,
+    properties: Mapping[str, Any],
+    rings: Sequence[FloatArray],
+    identifier: object = None,
 ) -> Outlined:
     """
     Turn a geographic feature into a record; `rings` are the outer rings of its polygons.
 
-    Unknown properties are ignored; without the name of an image, it is `default_image`. Raises
-    ValueError if there is no ring, or the score is not a number.
+    Without the name of an image, it is `default_image`; `identifier` is the id if no property is.
+    All properties are kept but those that have the names of `FEATURE_FIELDS`. Raises ValueError if
+    there is no ring, or a value is not what its name says.
     """
     if not rings:
         raise ValueError('the polygon is empty')
     lower = {str(name).lower(): value for name, value in properties.items()}
     score = parse_score(_first(lower, SCORE))
-    box = Box((), _first(lower, CLASS), _first(lower, INSTANCE), score)
+    box = Box(
+        (),
+        _first(lower, CLASS),
+        _first(lower, INSTANCE) or plain_text(identifier),
+        score,
+        crowd=_parse_crowd(_first(lower, ('crowd',))),
+        difficulty=parse_difficulty(_first(lower, ('difficulty',))),
+        properties={
+            name: value for name, value in properties.items() if name.lower() not in FEATURE_FIELDS
+        },
+    )
     return Outlined(_first(lower, IMAGE) or default_image, box, rings)
+
+
+def _parse_crowd(value: str) -> bool:
+    if value.lower() not in CROWD_VALUES:
+        raise ValueError(f'crowd {value!r} is neither 0 nor 1')
+    return CROWD_VALUES[value.lower()]
 
 
 def _first(properties: Mapping[str, Any], names: Sequence[str]) -> str:
@@ -283,16 +312,34 @@ def _is_upright(corners: FloatArray) -> bool:
 
 
 def box_features(images: Sequence[ImageBoxes]) -> tuple[list[dict[str, Any]], FloatArray]:
-    """Return the properties of N boxes as geographic features, and the boxes, shape (N, 4)."""
+    """
+    Return the properties of N boxes as geographic features, and the boxes, shape (N, 4).
+
+    `crowd` and `difficulty` are among them if a box is a crowd or difficult.
+    """
+    crowds = any(image.extras.crowd is not None for image in images)
+    difficulties = any(image.extras.difficulty is not None for image in images)
     properties = [
         {
             'image': image.image,
             'instance': box.id,
             'class': box.class_id,
             'score': box.score,
+            **({'crowd': int(box.crowd)} if crowds else {}),
+            **({'difficulty': box.difficulty} if difficulties else {}),
             **box.diagnostics,
+            **box.properties,
         }
         for image in images
-        for box in image.rows()
+        for box in image.rows(FEATURE_FIELDS)
     ]
     return properties, np.concatenate([np.zeros((0, 4)), *(image.xyxy for image in images)])
+
+
+def only_system(images: Sequence[ImageBoxes]) -> str:
+    """Return the reference system of all images; raise ValueError if they have several."""
+    systems = {image.extras.label_set.crs for image in images}
+    if len(systems) > 1:
+        names = ' and '.join(sorted(repr(name[:60]) for name in systems))
+        raise ValueError(f'one file cannot hold more than one reference system: {names}')
+    return next(iter(systems), '')

@@ -333,3 +333,20 @@ def test_ends_without_a_bow_have_no_effect_and_a_warning_says_so(
 def test_a_conversion_that_fails_leaves_garbage_collection_on(tmp_path: Path) -> None:
     assert _run(tmp_path / 'nowhere.csv', tmp_path / 'out.csv') == 1
     assert gc.isenabled()
+
+
+@pytest.mark.parametrize(
+    ('options', 'message'),
+    [
+        (['--max-length', '400m', '--max-width', '60'], 'both --max-length and --max-width'),
+        (['--max-length', '400 km'], 'a number or metres'),
+        (['--max-length', '400m'], 'no reference system'),
+    ],
+)
+def test_caps_that_cannot_be_meant_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+) -> None:
+    source = tmp_path / 'a.txt'
+    source.write_text('10 20 50 20 50 30 10 30 ship 0')
+    assert main(['convert', str(source), str(tmp_path / 'a.csv'), *options]) == 1
+    assert message in capsys.readouterr().err
