@@ -7,7 +7,8 @@ With corners::
     image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4,hx1,hy1,hx2,hy2,mask
     P0706,0,ship,284,466,274,456,300,427,310,439,278,429,307,461,301 429;300 430;299 430
 
-The header gives the order of the columns; unknown columns are ignored. ``hx1`` to ``hy2``, the
+The header gives the order of the columns; other columns are kept, ``crowd`` (0 or 1) and
+``difficulty`` as such. ``hx1`` to ``hy2``, the
 reference box, may be empty or absent; so may ``mask``, the hull polygon, and ``score``, which is
 then 1. A row is one line, quoted fields included, so that a stray quote damages one row and not
 the rest of the file. A row with only an image name is an image without boxes. The eight
@@ -22,9 +23,11 @@ With a column of WKT::
     P0706,ship,0.9,"POLYGON ((284 466, 274 456, 300 427, 310 439, 284 466))"
 
 The geometry is in the first column that is called ``wkt``, ``geometry``, ``geom`` or ``the_geom``;
-``image``, ``class``, ``score`` and ``instance`` or ``id`` may be absent, and others are ignored.
-Upper and lower case are the same. Coordinates are read as pixels, see `geojson`; an ``SRID=…;``
-before the geometry is ignored. Rows without an image name belong to an image named after the file.
+otherwise in the first one whose first value is a polygon. ``image``, ``class``, ``score`` and
+``instance`` or ``id`` may be absent, and others are kept. Upper and lower case are the same.
+Coordinates are in the reference system of ``SRID=…;`` before the geometry, or
+pixels or degrees, see `obbhbb_ros.labels.maps`. Rows without an image name belong to an image named
+after the file.
 """
 
 from __future__ import annotations
@@ -34,6 +37,7 @@ import io
 import re
 import sys
 from collections.abc import Callable
+from collections.abc import Collection
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
@@ -49,8 +53,13 @@ import numpy.typing as npt
 import shapely
 
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.labels import maps
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels import text
+from obbhbb_ros.labels.documents import parse_difficulty
+from obbhbb_ros.labels.documents import property_text
+from obbhbb_ros.labels.extras import Extras
+from obbhbb_ros.labels.extras import only_if_any
 from obbhbb_ros.labels.image_grouper import ImageGrouper
 from obbhbb_ros.labels.image_labels import DIAGNOSTICS
 from obbhbb_ros.labels.image_labels import MIN_HULL_POINTS
@@ -73,11 +82,15 @@ from obbhbb_ros.labels.table_columns import box_columns
 from obbhbb_ros.labels.table_columns import has_boxes
 
 BOX_COLUMNS = (*NAMES, 'score', *BOUNDS)
+MARKS = ('crowd', 'difficulty')
 GEOMETRY = ('wkt', 'geometry', 'geom', 'the_geom')
 BRACKETS = str.maketrans('[],', '   ')
+RESERVED = (*COLUMNS, *BOUNDS, *MARKS, *GEOMETRY)
 # What the csv module puts in quotes, besides commas and line feeds.
 QUOTED = re.compile('["\r]')
-SRID = re.compile(r'\s*SRID\s*=\s*\d+\s*;', re.IGNORECASE)
+POLYGON = re.compile(r'\s*(SRID\s*=\s*\d+\s*;)?\s*(MULTI)?POLYGON\b', re.IGNORECASE)
+POLYGON_FIELD = re.compile(f'(^|,)"?{POLYGON.pattern}', re.IGNORECASE)
+SRID = re.compile(r'\s*SRID\s*=\s*(\d{1,9})\s*;', re.IGNORECASE)
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
@@ -92,8 +105,28 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
 
 
 def _read_wkt(file: LabelFile) -> Iterator[ImageLabels]:
-    records = _read_rows(file, partial(_wkt_row_parser, file.path.stem))
-    return file.images(shapes.enclose(file, records))
+    system = OnlySystem()
+    records = _read_rows(file, partial(_wkt_row_parser, file.path.stem, system))
+    return maps.map_images(file, records, system.settle)
+
+
+class OnlySystem:
+    """The reference system that the rows of a table have in common; rows may leave it out."""
+
+    def __init__(self) -> None:
+        self._crs: str | None = None
+
+    def check(self, crs: str) -> None:
+        """Raise ValueError if a row names another system than the rows above."""
+        if crs and self._crs is None:
+            self._crs = crs
+        elif crs and crs != self._crs:
+            raise ValueError(f'{crs}, but the rows above have {self._crs or "none"}')
+
+    def settle(self) -> str | None:
+        """Return the system; if it is None, no row below may name one."""
+        crs, self._crs = self._crs, self._crs or ''
+        return crs
 
 
 def _read_rows(
@@ -180,6 +213,22 @@ def _parse_boxes(
         hulls=tuple(map(_parse_hull, masks)) if any(masks) else (None,) * count,
         size=file.image_size,
         source=file.path,
+        extras=_parse_extras(table, known={*COLUMNS, *shape, *MARKS}),
+    )
+
+
+def _parse_extras(table: Mapping[str, Sequence[str]], known: Collection[str]) -> Extras:
+    """Keep the columns that are not `known`; one without a name is the row number of pandas."""
+    crowds = map(shapes.parse_crowd, table.get('crowd', ()))
+    difficulties = map(parse_difficulty, table.get('difficulty', ()))
+    return Extras(
+        crowd=only_if_any(crowds, np.bool_),
+        difficulty=only_if_any(difficulties, np.int64),
+        properties={
+            name: tuple(value or None for value in values)
+            for name, values in table.items()
+            if name and name not in known
+        },
     )
 
 
@@ -224,27 +273,43 @@ def _parse_hull(field: str) -> FloatArray | None:
 
 
 def _wkt_row_parser(
-    default_image: str, columns: list[str]
+    default_image: str, only: OnlySystem, columns: list[str]
 ) -> Callable[[list[str]], shapes.Outlined]:
-    lower = [column.lower() for column in columns]
-    geometry = next((name for name in GEOMETRY if name in lower), None)
-    if geometry is None:
-        raise ValueError(f'no column of WKT: {", ".join(GEOMETRY)} (header: {",".join(columns)})')
-    index = lower.index(geometry)
+    """Return the parser of a row, which checks its reference system."""
+    index = next((columns.index(name) for name in columns if name.lower() in GEOMETRY), None)
 
     def parse(fields: list[str]) -> shapes.Outlined:
-        row = dict(zip(columns, fields, strict=True))
-        return shapes.feature_record(default_image, row, _wkt_rings(fields[index]))
+        nonlocal index
+        if index is None:
+            index = _geometry_index(columns, fields)
+        system, rings = _wkt_rings(fields[index])
+        only.check(system)
+        row = {name: value or None for name, value in zip(columns, fields, strict=True)}
+        del row[columns[index]]
+        return shapes.feature_record(default_image, row, rings)
 
     return parse
 
 
-def _wkt_rings(wkt: str) -> list[FloatArray]:
+def _geometry_index(columns: Sequence[str], fields: Sequence[str]) -> int:
+    """Return the number of the only field that is a polygon; raise ValueError for none, or two."""
+    polygons = [index for index, field in enumerate(fields) if POLYGON.match(field)]
+    if len(polygons) > 1:
+        several = ', '.join(columns[index] for index in polygons)
+        raise ValueError(f'several columns of WKT ({several}): call the one of the ships wkt')
+    if not polygons:
+        raise ValueError(f'no column of WKT: {", ".join(GEOMETRY)} (header: {",".join(columns)})')
+    return polygons[0]
+
+
+def _wkt_rings(wkt: str) -> tuple[str, list[FloatArray]]:
+    """Return the reference system, '' for none, and the rings of a geometry."""
+    code = SRID.match(wkt)
     try:
-        geometry = shapely.from_wkt(SRID.sub('', wkt, count=1))
+        geometry = shapely.from_wkt(wkt[code.end() :] if code else wkt)
     except shapely.errors.GEOSException as error:
         raise ValueError(f'not WKT: {error}') from None
-    return shapes.outer_rings(geometry)
+    return f'EPSG:{code[1]}' if code and int(code[1]) else '', shapes.outer_rings(geometry)
 
 
 def _write(path: Path, images: list[ImageLabels]) -> None:
@@ -265,14 +330,30 @@ def _mask(hull: FloatArray | None) -> str:
 
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
     diagnosed = any(image.diagnostics is not None for image in images)
-    columns = (*BOX_COLUMNS, *DIAGNOSTICS) if diagnosed else BOX_COLUMNS
-    text.write_lines(path, _table_lines(columns, images, _box_columns))
+    own = (*BOX_COLUMNS, *DIAGNOSTICS) if diagnosed else BOX_COLUMNS
+    marks = [
+        name for name in MARKS if any(getattr(image.extras, name) is not None for image in images)
+    ]
+    names = dict.fromkeys(name for image in images for name in image.extras.properties)
+    others = [name for name in names if name.lower() not in {*own, *RESERVED}]
+    columns_of = partial(_box_columns, marks, others, diagnosed)
+    text.write_lines(path, _table_lines((*own, *marks, *others), images, columns_of))
 
 
-def _box_columns(image: ImageBoxes) -> list[Sequence[str]]:
-    names = () if image.diagnostics is None else DIAGNOSTICS
-    numbers = image.scores, *image.xyxy.T, *(getattr(image.diagnostics, name) for name in names)
-    return [image.ids, image.class_ids, *map(_texts, numbers)]
+def _box_columns(
+    marks: Sequence[str], others: Sequence[str], diagnosed: bool, image: ImageBoxes
+) -> list[Sequence[str]]:
+    blank = ('',) * len(image.class_ids)
+    numbers = [image.scores, *image.xyxy.T]
+    if image.diagnostics is not None:
+        numbers += [getattr(image.diagnostics, name) for name in DIAGNOSTICS]
+    columns = [image.ids, image.class_ids, *map(_texts, numbers)]
+    if diagnosed and image.diagnostics is None:
+        columns += [blank] * len(DIAGNOSTICS)
+    given = [getattr(image.extras, name) for name in marks]
+    columns += [blank if values is None else _texts(values.astype(np.int64)) for values in given]
+    properties = image.extras.properties
+    return columns + [list(map(property_text, properties.get(name, blank))) for name in others]
 
 
 def _texts(values: npt.NDArray[Any]) -> list[str]:
@@ -326,7 +407,12 @@ def _sniff(head: str) -> bool:
 
 
 def _sniff_wkt(head: str) -> bool:
-    return any(column.lower() in GEOMETRY for column in _first_columns(head))
+    lines = [line for line in head.splitlines() if line.strip()][:2]
+    columns = _first_columns(head)
+    named = any(column.lower() in GEOMETRY for column in columns)
+    if named or has_boxes(columns):
+        return named
+    return len(lines) > 1 and POLYGON_FIELD.search(lines[1]) is not None
 
 
 def _first_columns(head: str) -> Sequence[str]:
@@ -345,7 +431,16 @@ CORNER_TABLE = Format(
     read=_read,
     write=_write,
     write_boxes=_write_boxes,
-    holds=('diagnostics', 'scores', 'ids', 'images without boxes'),
+    holds=(
+        'diagnostics',
+        'scores',
+        'ids',
+        'crowd marks',
+        'difficulties',
+        'properties',
+        'images without boxes',
+    ),
+    reserved=RESERVED,
 )
 WKT_TABLE = Format(
     name='wkt',

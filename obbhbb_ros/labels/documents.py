@@ -155,6 +155,13 @@ def _json_property(name: str, value: Any, depth: int) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def property_text(value: object) -> str:
+    """Return the value of a property as text: JSON if it is no text, '' for none."""
+    if isinstance(value, str):
+        return value
+    return '' if value is None else json.dumps(value, ensure_ascii=False)
+
+
 def plain_text(value: object) -> str:
     """
     Turn a JSON or table value into the text of an id or a class; '' for none.

@@ -23,7 +23,9 @@ from obbhbb_ros.labels import datumaro
 from obbhbb_ros.labels import dota
 from obbhbb_ros.labels import dota_results
 from obbhbb_ros.labels import fair1m
+from obbhbb_ros.labels import flatgeobuf
 from obbhbb_ros.labels import geojson
+from obbhbb_ros.labels import geopackage
 from obbhbb_ros.labels import hrsc
 from obbhbb_ros.labels import label_studio
 from obbhbb_ros.labels import labelme
@@ -70,6 +72,8 @@ _ALL = (
     label_studio.FORMAT,
     ultralytics_json.FORMAT,
     shapefile.FORMAT,
+    geopackage.FORMAT,
+    flatgeobuf.FORMAT,
     parquet.FORMAT,
 )
 FORMATS: dict[str, Format] = {entry.name: entry for entry in _ALL}

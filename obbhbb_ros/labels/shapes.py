@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
@@ -215,7 +216,7 @@ def feature_record(
         _first(lower, CLASS),
         _first(lower, INSTANCE) or plain_text(identifier),
         score,
-        crowd=_parse_crowd(_first(lower, ('crowd',))),
+        crowd=parse_crowd(_first(lower, ('crowd',))),
         difficulty=parse_difficulty(_first(lower, ('difficulty',))),
         properties={
             name: value for name, value in properties.items() if name.lower() not in FEATURE_FIELDS
@@ -224,7 +225,8 @@ def feature_record(
     return Outlined(_first(lower, IMAGE) or default_image, box, rings)
 
 
-def _parse_crowd(value: str) -> bool:
+def parse_crowd(value: str) -> bool:
+    """Parse whether a box is a group of ships; raise ValueError if it is neither 0 nor 1."""
     if value.lower() not in CROWD_VALUES:
         raise ValueError(f'crowd {value!r} is neither 0 nor 1')
     return CROWD_VALUES[value.lower()]
@@ -311,11 +313,14 @@ def _is_upright(corners: FloatArray) -> bool:
     return len(set(zip(x, y, strict=True))) == BOX_CORNERS and len(set(x)) == len(set(y)) == 2
 
 
-def box_features(images: Sequence[ImageBoxes]) -> tuple[list[dict[str, Any]], FloatArray]:
+def box_features(
+    images: Sequence[ImageBoxes], reserved: Collection[str] = FEATURE_FIELDS
+) -> tuple[list[dict[str, Any]], FloatArray]:
     """
     Return the properties of N boxes as geographic features, and the boxes, shape (N, 4).
 
-    `crowd` and `difficulty` are among them if a box is a crowd or difficult.
+    `crowd` and `difficulty` are among them if a box is a crowd or difficult; properties that have
+    one of the `reserved` names are not.
     """
     crowds = any(image.extras.crowd is not None for image in images)
     difficulties = any(image.extras.difficulty is not None for image in images)
@@ -331,7 +336,7 @@ def box_features(images: Sequence[ImageBoxes]) -> tuple[list[dict[str, Any]], Fl
             **box.properties,
         }
         for image in images
-        for box in image.rows(FEATURE_FIELDS)
+        for box in image.rows(reserved)
     ]
     return properties, np.concatenate([np.zeros((0, 4)), *(image.xyxy for image in images)])
 

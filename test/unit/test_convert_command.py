@@ -29,7 +29,8 @@ from obbhbb_ros.labels.label_file import LabelFile
 
 TARGETS = [
     ('yolo', 'out'), ('coco', 'out.json'), ('voc', 'out'), ('geojson', 'out.geojson'),
-    ('csv', 'out.csv'), ('shapefile', 'out.shp'),
+    ('csv', 'out.csv'), ('shapefile', 'out.shp'), ('geopackage', 'out.gpkg'),
+    ('flatgeobuf', 'out.fgb'),
 ]  # fmt: skip
 SHIP = '10 20 50 40 46 48 6 28 ship 0\n'
 EMPTY = '10 20 10 20 10 20 10 20 ship 0\n'
@@ -60,7 +61,7 @@ def _run(*arguments: object) -> int:
 def test_every_format_comes_out_with_the_boxes_of_the_converter(
     source: Path, tmp_path: Path, format_name: str, target: str, capsys: pytest.CaptureFixture
 ) -> None:
-    if format_name == 'shapefile':
+    if format_name in {'shapefile', 'geopackage', 'flatgeobuf'}:
         pytest.importorskip('geopandas')
     path = tmp_path / target
     assert _run(source, path, '--to', format_name, '--image-size', 640, 480) == 0

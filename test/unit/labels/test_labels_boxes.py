@@ -27,10 +27,12 @@ if TYPE_CHECKING:
 
 TARGETS = {
     'yolo': 'labels', 'coco': 'all.json', 'voc': 'annotations', 'geojson': 'all.geojson',
-    'csv': 'all.csv', 'shapefile': 'all.shp', 'parquet': 'all.parquet',
+    'csv': 'all.csv', 'shapefile': 'all.shp', 'geopackage': 'all.gpkg', 'flatgeobuf': 'all.fgb',
+    'parquet': 'all.parquet',
 }  # fmt: skip
-DIAGNOSED = ('coco', 'geojson', 'csv', 'shapefile', 'parquet')
-EXTRAS = {'shapefile': 'geopandas', 'parquet': 'pyarrow'}
+VECTOR_FILES = ('shapefile', 'geopackage', 'flatgeobuf')
+DIAGNOSED = ('coco', 'geojson', 'csv', *VECTOR_FILES, 'parquet')
+EXTRAS = {**dict.fromkeys(VECTOR_FILES, 'geopandas'), 'parquet': 'pyarrow'}
 BOX = (10.25, 20.5, 50.125, 30.0)
 
 
@@ -256,7 +258,7 @@ def test_values_that_a_format_cannot_hold_are_refused_and_nothing_is_written(
 def test_a_target_without_a_format_is_refused(
     tmp_path: Path, name: str, format_name: str | None, message: str
 ) -> None:
-    if format_name == 'shapefile':
+    if format_name in VECTOR_FILES:
         pytest.importorskip('geopandas')
     with pytest.raises(ValueError, match=message):
         write_boxes(tmp_path / name, [_boxes('P1', BOX)], format_name)

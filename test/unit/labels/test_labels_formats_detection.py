@@ -26,7 +26,7 @@ def test_the_registry_has_every_format_under_its_own_name() -> None:
     assert list(FORMATS) == [
         'dota', 'dota_results', 'yolo_obb', 'yolo', 'csv', 'wkt', 'hrsc', 'voc', 'cvat', 'fair1m',
         'coco', 'coco_results', 'datumaro', 'geojson', 'labelme', 'label_studio', 'ultralytics',
-        'shapefile', 'parquet',
+        'shapefile', 'geopackage', 'flatgeobuf', 'parquet',
     ]  # fmt: skip
     for name, entry in FORMATS.items():
         assert entry.name == name

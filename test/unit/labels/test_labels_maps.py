@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -182,3 +183,118 @@ def test_the_plane_is_the_ellipsoidal_mercator_projection(position: tuple[float,
     np.testing.assert_allclose(there[0], transformer.transform(*position), atol=1e-5)
     factor = pyproj.Proj('EPSG:3395').get_factors(*position).meridional_scale
     assert ground_scale(there[:, 1])[0] == pytest.approx(1.0 / factor, rel=1e-6)
+
+
+VECTOR_FILES = ('shp', 'gpkg', 'fgb')
+
+
+def _frame(crs: str | None) -> Any:
+    geopandas = pytest.importorskip('geopandas')
+    shapely = pytest.importorskip('shapely')
+    rings = [_ring(500311.0 + 500 * row, 6649643.0, 130.0, 20.0, 0.5) for row in range(2)]
+    return geopandas.GeoDataFrame(
+        {'mmsi': [219000001, 219000002], 'flag': ['DK', None], 'class': ['ship', 'tug']},
+        geometry=[shapely.Polygon(ring) for ring in rings],
+        crs=crs,
+    )
+
+
+def _save(frame: Any, path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.filterwarnings('ignore', message=".*'crs' was not provided")
+        frame.to_file(path, **({'SPATIAL_INDEX': 'NO'} if path.suffix == '.fgb' else {}))
+
+
+@pytest.mark.parametrize('suffix', VECTOR_FILES)
+@pytest.mark.parametrize('crs', ['EPSG:32633', None])
+def test_vector_files_keep_fields_and_reference_system(
+    tmp_path: Path, suffix: str, crs: str | None
+) -> None:
+    geopandas = pytest.importorskip('geopandas')
+    source, target = tmp_path / f'in.{suffix}', tmp_path / f'out.{suffix}'
+    _save(_frame(crs), source)
+    tally = convert(source, target, HullRule())
+    assert (tally.boxes, tally.losses) == (2, '')
+    written = geopandas.read_file(target)
+    assert (written.crs and written.crs.to_string()) == crs
+    assert written['mmsi'].tolist() == [219000001, 219000002]
+    assert written['flag'][0] == 'DK'
+    assert written['flag'].isna().tolist() == [False, True]
+    assert written['class'].tolist() == ['ship', 'tug']
+
+
+@pytest.mark.parametrize('suffix', VECTOR_FILES)
+def test_vector_files_in_degrees_are_converted_on_the_ground(tmp_path: Path, suffix: str) -> None:
+    geopandas = pytest.importorskip('geopandas')
+    _frame('EPSG:32633').to_crs('EPSG:4326').to_file(tmp_path / f'in.{suffix}')
+    convert(tmp_path / f'in.{suffix}', tmp_path / 'out.geojson', HullRule(), diagnostics=True)
+    written = geopandas.read_file(tmp_path / 'out.geojson')
+    assert written['length'].tolist() == pytest.approx([130.0, 130.0], rel=2e-3)
+    assert written.crs.to_string() in {'OGC:CRS84', 'EPSG:4326'}
+
+
+def test_a_geopackage_of_several_layers_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / 'in.gpkg'
+    _frame('EPSG:32633').to_file(path, layer='ships')
+    _frame('EPSG:32633').to_file(path, layer='quays')
+    with pytest.raises(LabelError, match='more than one layer'):
+        list(read_labels(path))
+
+
+@pytest.mark.parametrize('suffix', VECTOR_FILES)
+@pytest.mark.parametrize('keep', [0.3, 0.9])
+def test_a_vector_file_that_is_cut_off_is_reported(
+    tmp_path: Path, suffix: str, keep: float
+) -> None:
+    path = tmp_path / f'in.{suffix}'
+    _frame('EPSG:32633').to_file(path)
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * keep)])
+    with pytest.raises(LabelError, match=f'in.{suffix}'):
+        list(read_labels(path))
+
+
+@pytest.mark.parametrize(('srid', 'crs'), [('', ''), ('SRID=32633; ', 'EPSG:32633')])
+def test_wkt_is_found_in_any_column_and_the_others_are_kept(put: Put, srid: str, crs: str) -> None:
+    pytest.importorskip('pyproj')
+    ring = '(500000 6000000, 500100 6000000, 500100 6000020, 500000 6000000)'
+    path = put('a.csv', f'ship,outline,mmsi\ntug,"{srid}POLYGON ({ring})",7\n')
+    (labels,) = read_labels(path)
+    assert labels.extras.label_set.crs == crs
+    assert labels.extras.properties == {'ship': ('tug',), 'mmsi': ('7',)}
+    tally = convert(path, path.with_name('out.csv'), HullRule())
+    assert ('reference system' in tally.losses) == bool(crs)
+    header, row = path.with_name('out.csv').read_text().splitlines()
+    assert header.endswith(',ship,mmsi')
+    assert row.endswith(',tug,7')
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('a,b\n"POLYGON ((1 2, 3 4, 3 2, 1 2))","POLYGON ((1 2, 3 4, 3 2, 1 2))"', 'several col'),
+        ('a,wkt\n1,"SRID=99999999;POLYGON ((1 2, 3 4, 3 2, 1 2))"', 'is not known'),
+        (
+            'a,wkt\n1,"SRID=32633;POLYGON ((1 2, 3 4, 3 2, 1 2))"\n'
+            '1,"SRID=32634;POLYGON ((1 2, 3 4, 3 2, 1 2))"',
+            'EPSG:32634, but the rows above have EPSG:32633',
+        ),
+    ],
+)
+def test_wkt_that_cannot_be_placed_is_refused(put: Put, text: str, message: str) -> None:
+    pytest.importorskip('pyproj')
+    with pytest.raises(LabelError, match=message):
+        list(read_labels(put('a.csv', text)))
+
+
+def test_csv_keeps_other_columns_crowds_and_difficulties(put: Put) -> None:
+    path = put(
+        'a.csv',
+        ',image,class,instance,x1,y1,x2,y2,x3,y3,x4,y4,mmsi,crowd,difficulty\n'
+        '0,P1,ship,7,10,20,50,20,50,30,10,30,219000001,1,2\n'
+        '1,P2,tug,8,10,20,50,20,50,30,10,30,,0,0\n',
+    )
+    tally = convert(path, path.with_name('out.csv'), HullRule(), diagnostics=True)
+    assert tally.losses == ''
+    header, *rows = path.with_name('out.csv').read_text().splitlines()
+    assert header.endswith('capped,crowd,difficulty,mmsi')
+    assert [row.rsplit(',', 3)[1:] for row in rows] == [['1', '2', '219000001'], ['0', '0', '']]

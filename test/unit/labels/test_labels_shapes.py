@@ -199,8 +199,8 @@ def test_a_malformed_wkt_row_is_reported_with_its_line(put: Put, row: str, messa
 
 
 def test_a_table_without_wkt_is_an_error_that_names_the_columns(put: Put) -> None:
-    with pytest.raises(LabelError, match=r'a\.csv:1: no column of WKT: wkt, geometry'):
-        list(read_labels(put('a.csv', 'image,x\n'), 'wkt'))
+    with pytest.raises(LabelError, match=r'a\.csv:2: no column of WKT: wkt, geometry'):
+        list(read_labels(put('a.csv', 'image,x\na,b\n'), 'wkt'))
 
 
 def _shapefile(path: Path, geometries: list[object], **columns: list[object]) -> Path:

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""FlatGeobuf of polygons, see `vector_files`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from obbhbb_ros.labels import shapes
+from obbhbb_ros.labels import vector_files
+from obbhbb_ros.labels.image_labels import ImageBoxes
+from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_format import Format
+
+
+def _read(file: LabelFile) -> Iterator[ImageLabels]:
+    return vector_files.read_features(file, 'FlatGeobuf')
+
+
+def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
+    # Its spatial index would change the order of the boxes.
+    vector_files.write_features(path, 'FlatGeobuf', images, SPATIAL_INDEX='NO')
+
+
+FORMAT = Format(
+    name='flatgeobuf',
+    suffixes=('.fgb',),
+    summary='FlatGeobuf of polygons, with fields image, class, score, id (extra `geo`)',
+    sniff=lambda head: head.startswith('fgb\x03fgb'),
+    read=_read,
+    write_boxes=_write_boxes,
+    holds=shapes.FEATURES_HOLD,
+    reserved=vector_files.RESERVED,
+)
