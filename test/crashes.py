@@ -28,7 +28,7 @@ CRASHES: dict[str, tuple[Any, int, str]] = {
     'crashed': (signal.SIGSEGV, -11, 'crashed: Segmentation fault (SIGSEGV)'),
     'stuck in Python': ('time.sleep', 70, WATCHDOG),
     # While it holds Python's lock.
-    'stuck in C': ('ctypes.PyDLL(None).sleep', 1, 'watchdog: stuck outside Python'),
+    'stuck in C': ('ctypes.PyDLL(None).sleep', -signal.SIGALRM, 'watchdog: stuck outside Python'),
 }
 
 # The real node, but a conversion deletes a certain file if that exists, and then never returns.

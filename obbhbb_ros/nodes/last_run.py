@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from dataclasses import field
 
 # How the first line of what faulthandler writes begins.
-_CRASH, _TIMEOUT = 'Fatal Python error: ', 'Timeout ('
+_CRASH, _STUCK = 'Fatal Python error: ', ('Thread 0x', 'Current thread 0x')
 _SIGNAL_NAMES = {
     signal.strsignal(number): number.name
     for number in (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGILL, signal.SIGFPE)
@@ -150,7 +150,7 @@ def _end_of(run: Run, stacks_head: str, boot: str) -> tuple[str, bool]:
     if stacks_head.startswith(_CRASH):
         crash = stacks_head.removeprefix(_CRASH)
         return f'crashed: {crash} ({_SIGNAL_NAMES.get(crash, "see its log")})', False
-    if stacks_head.startswith(_TIMEOUT):
+    if stacks_head.startswith(_STUCK):
         return 'watchdog: stuck outside Python', False
     if run.ended:
         return run.ended, run.asked

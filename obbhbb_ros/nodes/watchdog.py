@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import faulthandler
 import os
 import sys
 import threading
@@ -12,6 +11,7 @@ from functools import partial
 from typing import IO
 from typing import Any
 
+from obbhbb_ros.nodes.last_resort import LastResort
 from obbhbb_ros.nodes.stop import leave
 
 STUCK = 70
@@ -22,7 +22,7 @@ _MIN_TIMEOUT = 2.0
 # The watchdog counts its own looks instead of reading a clock: a clock goes on while the process is
 # stopped from outside.
 _LOOKS_PER_TIMEOUT = 8
-# Number of timeouts after which faulthandler ends the process.
+# Number of timeouts after which the last resort ends the process.
 _LAST_RESORT = 2.0
 
 
@@ -31,14 +31,14 @@ class Watchdog:
     Ends the process when its executor is blocked for some time.
 
     It looks from a thread of its own. While a library holds Python's lock, that thread cannot run;
-    then faulthandler ends the process, with exit code 1, after twice the time.
+    then the last resort ends the process, by SIGALRM, after twice the time.
 
     Parameters
     ----------
     timeout : float
         Seconds; 0 for no watchdog.
     stacks_file : file or None
-        Where faulthandler writes the stacks in that case; standard error by default.
+        Where the stacks are written in that case; standard error by default.
     on_stuck : callable
         Called with the reason before the process ends.
 
@@ -73,15 +73,15 @@ class Watchdog:
     def _watch(self) -> None:
         """Watch the number of turns until told to stop."""
         stacks_file: Any = self._stacks_file or sys.stderr or os.open(os.devnull, os.O_WRONLY)
+        grace = int(self._timeout / 2)
+        last_resort = LastResort(_LAST_RESORT * self._timeout - grace, grace, stacks_file)
         unchanged = 0
         while unchanged < _LOOKS_PER_TIMEOUT:
             # It ends the process, unless this line is reached again in time.
-            faulthandler.dump_traceback_later(
-                _LAST_RESORT * self._timeout, exit=True, file=stacks_file
-            )
+            last_resort.put_off()
             turns = self.turns
             if self._stopping.wait(self._timeout / _LOOKS_PER_TIMEOUT):
-                faulthandler.cancel_dump_traceback_later()
+                last_resort.cancel()
                 return
             unchanged = unchanged + 1 if turns == self.turns else 0
         reason = f'watchdog: no turn of the executor for {self._timeout:g} s, {_place()}'
