@@ -41,6 +41,8 @@ OBJECTS = 'objects'
 
 def _read(file: LabelFile) -> list[ImageLabels]:
     root, objects = read_objects(file, ROOT, f'{OBJECTS}/object')
+    if root.find(OBJECTS) is None:
+        raise file.error(f'not FAIR1M: no <{OBJECTS}>')
     image = file.path.stem
     boxes = shapes.enclose(file, file.parse_records(objects, partial(_parse, image)))
     size, file_name = size_of(root, 'size/width', 'size/height'), text_of(root, 'source/filename')

@@ -117,7 +117,21 @@ class LabelSource:
             try:
                 yield from self.format.read(LabelFile(file, size, on_error))
             except FileError as error:
-                on_error(error)
+                on_error(self._explained(error))
+
+    def _explained(self, error: FileError) -> FileError:
+        """Say what the file is, if it is in another format."""
+        try:
+            head = _head(error.path)
+        except OSError:
+            return error
+        other, fitting = unread_format(_suffix(error.path), head), _only_fitting(error.path)
+        if other is not None:
+            return FileError(error.path, None, other.message)
+        if fitting is None or fitting is self.format:
+            return error
+        message = f'{error.message} (it looks like {fitting.name})'
+        return FileError(error.path, error.line, message)
 
 
 def _gathered(images: Iterable[ImageLabels]) -> Iterator[ImageLabels]:
@@ -189,7 +203,7 @@ def _only_fitting(file: Path) -> Format | None:
 def _format_by_suffix(path: Path, files: Sequence[Path]) -> Format:
     for file in files:
         if (other := unread_format(_suffix(file), _head(file))) is not None:
-            raise ValueError(f'{file}: {other.name}, which is not read: {other.advice}')
+            raise ValueError(f'{file}: {other.message}')
     candidates = {fitting.name: fitting for file in files for fitting in _formats_of(file)}
     blank = all(not _head(file).strip() for file in files)
     if len(candidates) == 1 or (candidates and blank):

@@ -51,6 +51,11 @@ class UnreadFormat:
     sniff: Callable[[str], bool]
     advice: str
 
+    @property
+    def message(self) -> str:
+        """What the file is, that it is not read, and what to do."""
+        return f'{self.name}, which is not read: {self.advice}'
+
 
 def unread_format(suffix: str, head: str) -> UnreadFormat | None:
     """Return the unread format that the beginning of a file has, if any."""

@@ -74,6 +74,8 @@ NOT_IN_XML = re.compile('[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]'
 
 def _read(file: LabelFile) -> list[ImageLabels]:
     root, objects = read_objects(file, ROOT, 'object')
+    if root.find('objects') is not None:
+        raise file.error('not Pascal VOC: <objects>, as FAIR1M has it')
     # Only RSDD-SAR has it.
     long_edge = root.find('polarization') is not None
     records = file.parse_records(objects, partial(_parse, long_edge))

@@ -77,3 +77,18 @@ def test_an_object_that_is_not_understood_is_reported(
     assert (error.path, error.line) == (path, 7)
     assert error.message.startswith('object 2: ')
     assert message in error.message
+
+
+@pytest.mark.parametrize(
+    ('format_name', 'text', 'message'),
+    [
+        ('voc', FAIR1M.format(SHIP), 'not Pascal VOC: <objects>, as FAIR1M has it'),
+        ('fair1m', '<annotation><object><name>a</name></object></annotation>', 'no <objects>'),
+    ],
+)
+def test_fair1m_and_voc_are_not_taken_for_each_other(
+    put: Put, format_name: str, text: str, message: str
+) -> None:
+    errors: list[LabelError] = []
+    assert list(read_labels(put('7.xml', text), format_name, on_error=errors.append)) == []
+    assert [message in error.message for error in errors] == [True]

@@ -11,7 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import detect_format
+from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.documents import json_paths
 
 if TYPE_CHECKING:
@@ -115,6 +117,27 @@ def test_an_unread_file_beside_label_files_is_not_in_the_way(put: Put, tmp_path:
     put('gt.txt', '1,-1,300.0,280.0,200.0,40.0,1,1,1.0\n')
     put('via.json', '{"_via_img_metadata": {}}')
     assert detect_format(tmp_path) == 'dota'
+
+
+@pytest.mark.parametrize(
+    ('format_name', 'text', 'message'),
+    [
+        ('coco', '{"_via_img_metadata": {}}', 'VGG Image Annotator JSON, which is not read: '),
+        (
+            'coco',
+            '{"categories": {}, "items": [',
+            '(it looks like datumaro)',
+        ),
+        ('datumaro', '{"images": [], "annotations": []}', "no array 'items' (it looks like coco)"),
+        ('coco', '{"images": [], "annotations": {}}', "not COCO: no array 'annotations'"),
+    ],
+)
+def test_a_file_of_another_format_than_the_named_one_is_called_what_it_is(
+    put: Put, format_name: str, text: str, message: str
+) -> None:
+    errors: list[LabelError] = []
+    assert list(read_labels(put('a.json', text), format_name, on_error=errors.append)) == []
+    assert [message in error.message for error in errors] == [True]
 
 
 @pytest.mark.parametrize('line', ['10,20,50,20,50,30,10,30,3\n', '0,0,9,0,9,4,0,4,5\n'])
