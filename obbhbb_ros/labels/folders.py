@@ -58,12 +58,16 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
 
 def _files_below(path: Path, roots: list[Path], suffixes: Collection[str]) -> list[Path]:
     """List the label files in the folders of labels, or in all sub-folders if there are none."""
-    by_folder = {root.name: _files_of_tree(root, suffixes, MAX_DEPTH) for root in roots}
-    several = [name for name, files in by_folder.items() if files]
+    by_kind: dict[str, list[Path]] = {}
+    for root in roots:
+        # Darknet has one folder for each part of a data set.
+        kind = re.sub('obj_.*_data', 'obj_data', root.name)
+        by_kind.setdefault(kind, []).extend(_files_of_tree(root, suffixes, MAX_DEPTH))
+    several = [kind for kind, files in by_kind.items() if files]
     if len(several) > 1:
         raise LabelError(path, None, f'label files in {" and ".join(several)}: name one of them')
     if several:
-        return by_folder[several[0]]
+        return by_kind[several[0]]
     return _files_of_tree(path, suffixes, MAX_DEPTH)
 
 

@@ -154,6 +154,11 @@ def split_rows(lines: Sequence[str]) -> list[list[str]]:
 
 def parse_numbers(fields: Iterable[str]) -> list[float]:
     """Turn fields into finite numbers, see `parse_number`."""
+    fields = list(fields)
+    with suppress(ValueError):
+        numbers = list(map(float, fields))
+        if all(map(math.isfinite, numbers)) and '_' not in ''.join(fields):
+            return numbers
     return [parse_number(field) for field in fields]
 
 
@@ -199,6 +204,8 @@ def parse_score(field: str) -> float:
 
 def is_number(field: str) -> bool:
     """Return whether a field is a finite number."""
+    if field[:1].isalpha():
+        return False
     try:
         parse_number(field)
     except ValueError:
@@ -217,7 +224,8 @@ def is_normalised(values: Iterable[float]) -> bool:
 
     Boxes at the border may extend beyond the image, but not by a whole image.
     """
-    return all(-1.0 <= value <= 2.0 for value in values)
+    values = list(values)
+    return not values or (min(values) >= -1.0 and max(values) <= 2.0)
 
 
 def join_numbers(values: Iterable[float]) -> str:

@@ -198,9 +198,9 @@ VOC = '<annotation><object><name>ship</name></object></annotation>'
             ['labels/train/b.txt', 'labels/val/a.txt'], 'yolo_obb',
         ),
         (
-            {'obj_train_data/a.txt': YOLO_IMAGE, 'train.txt': 'data/obj_train_data/a.PNG\n',
-             'obj.names': 'ship', 'obj.data': ''},
-            ['obj_train_data/a.txt'], 'yolo',
+            {'obj_train_data/b.txt': YOLO_IMAGE, 'train.txt': 'data/obj_train_data/a.PNG\n',
+             'obj_val_data/a.txt': YOLO_IMAGE, 'obj.names': 'ship', 'obj.data': ''},
+            ['obj_train_data/b.txt', 'obj_val_data/a.txt'], 'yolo',
         ),
         (
             {'labels/a.txt': YOLO, 'classes.txt': 'ship', 'notes.json': '{"categories": []}'},
