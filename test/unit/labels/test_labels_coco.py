@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
+from hypothesis import given
+from hypothesis import strategies as st
 
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
@@ -182,3 +184,71 @@ def test_a_file_that_cannot_be_used_is_one_error(
     assert list(read_labels(path, format_name, on_error=errors.append)) == []
     assert [(error.path, error.line) for error in errors] == [(path, line)]
     assert message in errors[0].message
+
+
+PLAIN = {
+    'id': 9, 'image_id': 1, 'category_id': 1, 'bbox': [1, 2, 8, 2],
+    'segmentation': [[1, 2, 9, 2, 9, 4, 1, 4]],
+}  # fmt: skip
+NUMBERS = st.integers(-1000, 1000) | st.floats(-1e4, 1e4)
+QUADRILATERALS = st.lists(NUMBERS, min_size=8, max_size=8) | st.just([1, 2, 9, 2, 9, 4, 1, 4])
+ODD = [
+    {'segmentation': [[1, 2, 9, 2, 9, 4]]},
+    {'segmentation': [[1, 2, 9, 2, 9, 4, 1, 2]]},
+    {'segmentation': [[1, 2, 9, 2, 9, 4, 1, True]]},
+    {'segmentation': [[1, 2, 9, 2, 9, 4, 1, 10**400]]},
+    {'segmentation': [[1, 2, 9, 2, 9, 4, 1, 1e16]]},
+    {'bbox': [1, 2, -3, 4]},
+    {'iscrowd': []},
+    {'iscrowd': True},
+    {'id': 7.0},
+    {'id': None},
+    {'image_id': '1'},
+    {'image_id': True},
+    {'category_id': 5},
+]
+
+
+@given(
+    ships=st.lists(QUADRILATERALS, max_size=6),
+    odd=st.none() | st.tuples(st.integers(0, 6), st.sampled_from(ODD)),
+)
+def test_many_annotations_are_read_as_one_by_one(
+    ships: list[list[float]],
+    odd: tuple[int, dict[str, object]] | None,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    annotations: list[dict[str, object]] = [
+        {
+            'id': number,
+            'image_id': 2 if number % 3 else 1,
+            'category_id': 1,
+            'bbox': [1, 2, 3, 4],
+            'segmentation': [ship],
+            'iscrowd': number % 2,
+        }
+        for number, ship in enumerate(ships)
+    ]
+    if odd is not None:
+        annotations[odd[0] : odd[0] + 1] = [{**PLAIN, **odd[1]}]
+    read = []
+    for more in ({}, {'score': 1.0}):
+        # With a score, every annotation is read by itself.
+        document = {
+            'images': [{'id': 1, 'file_name': 'a'}, {'id': 2, 'file_name': 'b'}],
+            'categories': [{'id': 1, 'name': 'ship'}],
+            'annotations': [{**annotation, **more} for annotation in annotations],
+        }
+        path = tmp_path_factory.mktemp('coco') / 'all.json'
+        path.write_text(json.dumps(document))
+        errors: list[LabelError] = []
+        images = list(read_labels(path, on_error=errors.append))
+        read.append((images, [error.message for error in errors]))
+    (plain, plain_errors), (single, errors) = read
+    assert plain_errors == errors
+    for labels, expected in zip(plain, single, strict=True):
+        for name in ('image', 'class_ids', 'ids'):
+            assert getattr(labels, name) == getattr(expected, name)
+        np.testing.assert_array_equal(labels.corners, expected.corners)
+        np.testing.assert_array_equal(labels.reference, expected.reference)
+        np.testing.assert_array_equal(labels.extras.crowd, expected.extras.crowd)
