@@ -124,6 +124,8 @@ def read_labelled_ships(options: Namespace) -> Ships:
         note(f'obbhbb: {count} of {len(ships)} ships have a box in {options.reference}')
     if options.bow != 'none':
         note(f'obbhbb: the bow of {int(ships.boxes.bow.sum())} of {len(ships)} ships is known')
+    if ships.crowds or ships.difficult:
+        note(f'obbhbb: left out: {ships.crowds} crowds, {ships.difficult} difficult ships')
     if errors or ships.skipped:
         note(
             f'obbhbb: {len(errors)} malformed records and {ships.skipped} boxes without area left '

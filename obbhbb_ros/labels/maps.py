@@ -140,6 +140,22 @@ def restored(labels: ImageLabels) -> ImageLabels:
     )
 
 
+def on_ground(labels: ImageLabels) -> ImageLabels:
+    """Return labels in degrees as metres on the ground, each box scaled at its own latitude."""
+    if not labels.extras.label_set.in_degrees:
+        return labels
+    scale = metres_per_unit(labels)
+    return replace(
+        labels,
+        corners=labels.corners * scale[:, None, None],
+        reference=labels.reference * scale[:, None],
+        hulls=tuple(
+            None if hull is None else hull * factor
+            for hull, factor in zip(labels.hulls, scale, strict=True)
+        ),
+    )
+
+
 def boxes_in_degrees(xyxy: FloatArray) -> FloatArray:
     """Return axis-aligned boxes of the plane in degrees, shape (N, 4)."""
     return to_degrees(xyxy.reshape(-1, 2)).reshape(-1, 4)

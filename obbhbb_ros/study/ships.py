@@ -19,6 +19,7 @@ from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import OnError
+from obbhbb_ros.labels import maps
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.image_labels import BOW_SOURCES
 from obbhbb_ros.study.bows import bow_sides
@@ -52,6 +53,8 @@ class Ships:
         Hull polygons, each of shape (K, 2), pixels.
     skipped : int
         Number of boxes that were left out because they cannot be converted.
+    crowds, difficult : int
+        Number of boxes that were left out because they are groups of ships, or marked difficult.
     """
 
     boxes: OrientedBoxes
@@ -61,6 +64,8 @@ class Ships:
     names: tuple[str, ...]
     hulls: tuple[FloatArray | None, ...]
     skipped: int = 0
+    crowds: int = 0
+    difficult: int = 0
 
     @classmethod
     def from_labels(cls, images: Iterable[ImageLabels], bow: str = 'none') -> Ships:
@@ -70,10 +75,11 @@ class Ships:
         `bow` is how the bow is known: as in `ImageLabels.boxes`, or `hull`, see
         `obbhbb_ros.study.bows.bow_sides`.
 
-        Boxes without area or with numbers that are not finite are left out. Raises ValueError if
-        no ship remains.
+        Boxes without area or with numbers that are not finite are left out, and so are crowds and
+        difficult boxes. Ships in degrees are scaled to metres, each at its own latitude. Raises
+        ValueError if no ship remains.
         """
-        labels = list(images)
+        labels = [maps.on_ground(image) for image in images]
         image_of = [image.image for image in labels for _ in image.class_ids]
         if not image_of:
             raise ValueError('no ships in the labels')
@@ -94,8 +100,14 @@ class Ships:
             hulls=tuple(hull for image in labels for hull in image.hulls),
             skipped=int(np.sum(~boxes.valid)),
         )
-        if ships.skipped:
-            ships = ships.take(boxes.valid)
+        crowds = np.concatenate([_marked(image, image.extras.crowd) for image in labels])
+        difficult = ~crowds & np.concatenate(
+            [_marked(image, image.extras.difficulty) for image in labels]
+        )
+        ships = replace(ships, crowds=int(crowds.sum()), difficult=int(difficult.sum()))
+        clear = boxes.valid & ~crowds & ~difficult
+        if not clear.all():
+            ships = ships.take(clear)
         return ships.heading_by_hull() if bow == 'hull' else ships
 
     def __len__(self) -> int:
@@ -119,6 +131,8 @@ class Ships:
             names=tuple(self.names[row] for row in chosen),
             hulls=tuple(self.hulls[row] for row in chosen),
             skipped=self.skipped,
+            crowds=self.crowds,
+            difficult=self.difficult,
         )
 
     @property
@@ -199,6 +213,10 @@ def read_ships(
     if reference is not None:
         images = match_references(images, read(reference))
     return Ships.from_labels(images, bow)
+
+
+def _marked(image: ImageLabels, marks: NDArray[Any] | None) -> NDArray[np.bool_]:
+    return np.zeros(len(image.class_ids), bool) if marks is None else marks.astype(bool)
 
 
 def _numbered(names: Sequence[Any]) -> NDArray[np.intp]:

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ships from labels: what is kept, how they are banded, whose reference box is whose."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fleets import REAL
@@ -8,6 +11,7 @@ from fleets import fleet
 from fleets import labels
 
 from obbhbb_ros.labels import write_labels
+from obbhbb_ros.labels.extras import Extras
 from obbhbb_ros.study.ships import Ships
 from obbhbb_ros.study.ships import read_ships
 
@@ -71,3 +75,26 @@ def test_malformed_records_go_to_on_error(tmp_path) -> None:
     assert len(ships) == len(text) - 1
     with pytest.raises(ValueError, match=r'ships\.csv:4'):
         read_ships([tmp_path / 'ships.csv'])
+
+
+def test_crowds_and_difficult_ships_are_left_out_and_counted() -> None:
+    marked = replace(
+        labels('a', [*UPRIGHT, [90, 0, 99, 9]]),
+        extras=Extras(crowd=np.array([True, False, False]), difficulty=np.array([1, 2, 0])),
+    )
+    ships = Ships.from_labels([marked, labels('b', UPRIGHT)])
+    assert (len(ships), ships.crowds, ships.difficult) == (3, 1, 1)
+    assert ships.take([0]).crowds == 1
+
+
+def test_ships_in_degrees_are_in_metres(tmp_path) -> None:
+    ring = [[12.0, 60.0], [12.002, 60.0], [12.002, 60.0003], [12.0, 60.0003], [12.0, 60.0]]
+    geometry = {'type': 'Polygon', 'coordinates': [ring]}
+    feature = {'type': 'Feature', 'properties': {}, 'geometry': geometry}
+    path = tmp_path / 'ships.geojson'
+    path.write_text(json.dumps({'type': 'FeatureCollection', 'features': [feature]}))
+    ships = read_ships([path])
+    # A degree is 111,412 m of latitude, and 55,800 m of longitude, at 60 degrees north.
+    assert ships.boxes.length == pytest.approx([111.6], abs=0.1)
+    assert ships.boxes.width == pytest.approx([33.42], abs=0.01)
+    assert ships.with_reference.tolist() == [True]
