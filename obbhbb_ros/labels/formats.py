@@ -79,6 +79,7 @@ _ALL = (
 FORMATS: dict[str, Format] = {entry.name: entry for entry in _ALL}
 
 _HEAD_BYTES = 16384
+_CHECKED_FILES = 100
 
 
 def format_named(name: str) -> Format:
@@ -150,14 +151,27 @@ def find_labels(path: Path, name: str | None = None) -> LabelSource:
     """
     if name:
         chosen = format_named(name)
-        return LabelSource(chosen, label_files(path, chosen.suffixes))
+        return _checked(LabelSource(chosen, label_files(path, chosen.suffixes)))
     suffixes = {suffix for format_ in FORMATS.values() for suffix in format_.suffixes}
     files = label_files(path, suffixes)
     candidates = _formats_by_content(files)
     if len(candidates) > 1:
         raise ValueError(f'{path}: more than one label format: name one of {names(candidates)}')
     chosen = candidates[0] if candidates else _format_by_suffix(path, files)
-    return LabelSource(chosen, [file for file in files if _suffix(file) in chosen.suffixes])
+    files = [file for file in files if _suffix(file) in chosen.suffixes]
+    return _checked(LabelSource(chosen, files))
+
+
+def _checked(source: LabelSource) -> LabelSource:
+    """
+    Raise ValueError if the first files of a folder mean something else than their format.
+
+    Angles, for example, show in some files, and look like confidences in others.
+    """
+    for file in source.files[:_CHECKED_FILES] if len(source.files) > 1 else ():
+        if problem := source.format.problem(_head(file)):
+            raise ValueError(f'{file}: {problem}')
+    return source
 
 
 def detect_format(path: str | os.PathLike[str]) -> str:

@@ -44,6 +44,9 @@ class Format:
         What `write_boxes` writes besides boxes and classes.
     reserved : collection of str
         Names, in lower case, that a property cannot have, since the format has them itself.
+    problem : callable
+        ``problem(head)`` says why the beginning of a file, though it may fit, means something else;
+        '' if it does not. It then holds for all files of a folder.
     spread : bool
         Whether the boxes of an image may be in several files.
     """
@@ -57,6 +60,7 @@ class Format:
     write_boxes: Callable[[Path, list[ImageBoxes]], None] | None = None
     holds: Collection[Part] = ()
     reserved: Collection[str] = ()
+    problem: Callable[[str], str] = lambda _: ''
     spread: bool = False
 
 

@@ -164,6 +164,14 @@ def _lines(image: ImageLabels | ImageBoxes, numbers: Mapping[str, str]) -> list[
     return [f'{numbers.get(name, name)} {text.join_numbers(row)}' for name, row in pairs]
 
 
+def _problem(layout: Layout, head: str) -> str:
+    try:
+        layout.ends(split_lines(head.splitlines()))
+    except ValueError as error:
+        return str(error)
+    return ''
+
+
 def _fits(layout: Layout, head: str) -> bool:
     lines = head.splitlines()
     try:
@@ -187,6 +195,7 @@ UPRIGHT = Format(
         f'Ultralytics YOLO, axis-aligned, one file per image: {UPRIGHT_FIELDS}, normalised to 0..1'
     ),
     sniff=partial(_fits, UPRIGHT_LAYOUT),
+    problem=partial(_problem, UPRIGHT_LAYOUT),
     read=partial(_read, UPRIGHT_LAYOUT),
     write_boxes=_write,
     holds=('scores', 'images without boxes'),
@@ -196,6 +205,7 @@ ORIENTED = Format(
     suffixes=('.txt',),
     summary=f'Ultralytics YOLO-OBB, one file per image: {POLYGON_FIELDS}, normalised to 0..1',
     sniff=partial(_fits, POLYGON_LAYOUT),
+    problem=partial(_problem, POLYGON_LAYOUT),
     read=partial(_read, POLYGON_LAYOUT),
     write=_write,
 )

@@ -12,6 +12,8 @@ from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from conftest import Put
 
 SIZE = (640, 480)
@@ -103,6 +105,14 @@ def test_an_angle_after_the_size_is_not_taken_for_a_confidence(
     path = put('a.txt', ''.join(f'0 0.5 0.5 0.2 0.2 {angle}\n' for angle in lines))
     with pytest.raises(LabelError, match=message):
         list(read_labels(path, image_size=SIZE))
+
+
+def test_an_angle_in_one_file_is_one_in_all_files_of_the_folder(put: Put, tmp_path: Path) -> None:
+    put('a.txt', '0 0.5 0.5 0.2 0.2 0.3\n')
+    path = put('b.txt', '0 0.5 0.5 0.2 0.2 -0.3\n')
+    with pytest.raises(ValueError, match='rather an angle') as caught:
+        read_labels(tmp_path, image_size=SIZE, on_error=print)
+    assert str(caught.value).startswith(f'{path}: ')
 
 
 def test_a_track_id_is_a_whole_number(put: Put) -> None:
