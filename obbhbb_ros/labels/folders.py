@@ -44,8 +44,9 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
     if not path.is_dir():
         # A pipe can be read only once, and detecting the format would read it first.
         raise ValueError(f'{path}: neither a regular file nor a folder')
-    files = _files_in(path, suffixes)
-    roots = [folder for folder in _folders_in(path) if LABEL_FOLDERS.fullmatch(folder.name)]
+    entries = sorted(path.iterdir())
+    files = _files_among(entries, suffixes)
+    roots = [entry for entry in entries if LABEL_FOLDERS.fullmatch(entry.name) and entry.is_dir()]
     if not files or (roots and all(map(_is_list_of_images, files))):
         files = _files_below(path, roots, suffixes)
     if not files:
@@ -72,24 +73,20 @@ def _files_below(path: Path, roots: list[Path], suffixes: Collection[str]) -> li
 
 
 def _files_of_tree(folder: Path, suffixes: Collection[str], depth: int) -> list[Path]:
-    files = _files_in(folder, suffixes)
-    for below in _folders_in(folder) if depth else ():
-        files += _files_of_tree(below, suffixes, depth - 1)
+    entries = sorted(folder.iterdir())
+    files = _files_among(entries, suffixes)
+    for entry in entries if depth else ():
+        if not NO_FOLDERS.match(entry.name) and entry.is_dir():
+            files += _files_of_tree(entry, suffixes, depth - 1)
     return files
 
 
-def _files_in(folder: Path, suffixes: Collection[str]) -> list[Path]:
-    return sorted(
-        file
-        for file in folder.iterdir()
-        if file.suffix.lower() in suffixes and file.is_file() and not NO_LABELS.match(file.name)
-    )
-
-
-def _folders_in(folder: Path) -> list[Path]:
-    return sorted(
-        below for below in folder.iterdir() if below.is_dir() and not NO_FOLDERS.match(below.name)
-    )
+def _files_among(entries: Iterable[Path], suffixes: Collection[str]) -> list[Path]:
+    return [
+        entry
+        for entry in entries
+        if entry.suffix.lower() in suffixes and entry.is_file() and not NO_LABELS.match(entry.name)
+    ]
 
 
 def _is_list_of_images(file: Path) -> bool:
