@@ -75,8 +75,8 @@ def are_nearly_rectangles(edges: FloatArray) -> NDArray[np.bool_]:
     sizes = lengths[0] + lengths[1]
     areas = areas_of(first, second)
     nearly: NDArray[np.bool_] = np.abs(products[0] + products[1]) <= _OBLIQUE * sizes
-    nearly &= lengths[2] * sizes <= _SKEWED**2 * areas * areas
-    nearly &= areas > SMALL**2
+    # Not where the squared area underflows.
+    nearly &= lengths[2] * sizes < _SKEWED**2 * areas * areas
     return nearly
 
 
