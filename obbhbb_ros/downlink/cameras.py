@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
 from typing import Generic
 from typing import NamedTuple
 from typing import TypeVar
@@ -12,8 +15,10 @@ from obbhbb_ros.downlink.joiner import StampCache
 from obbhbb_ros.wire.stamp import Stamp
 
 Camera = TypeVar('Camera')
+Frame = TypeVar('Frame')
 
 _MAX_COUNT = 1000
+_MAX_MISSED = 100
 # The maximum time that an image waits for its plan, seconds.
 _MAX_AGE = 3600.0
 
@@ -56,17 +61,93 @@ class CameraMemory(Generic[Camera]):
 
     def __init__(self) -> None:
         self._by_stamp = StampCache[Camera](lambda reason, _: None)
+        # Stamps of images that were cut without their camera.
+        self._missed: deque[Stamp] = deque(maxlen=_MAX_MISSED)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all cameras."""
+        self._by_stamp.clear()
+        self._missed.clear()
         self._latest: Camera | None = None
+        self._latest_stamp = ZERO_STAMP
+        # Whether cameras have the stamps of images, None as long as nobody knows.
+        self._match: bool | None = None
 
     def add(self, stamp: Stamp, camera: Camera, now: float) -> None:
         """Add a camera that was received at `now`, seconds of a monotonic clock."""
-        self._latest = camera
+        self._latest, self._latest_stamp = camera, stamp
         self._by_stamp.expire(now, _MAX_AGE)
         if stamp != ZERO_STAMP:
             self._by_stamp.put(stamp, camera, now, _MAX_COUNT)
+        if stamp in self._missed:
+            self._match = True
 
     def choice(self, stamp: Stamp) -> CameraChoice[Camera] | None:
         """Return the camera with a stamp, or else the latest; None if there is none yet."""
         if stamp in self._by_stamp:
+            self._match = True
             return CameraChoice(self._by_stamp[stamp], has_stamp=True)
+        if self.is_coming(stamp):
+            # It was waited for long enough.
+            self._match = False
+        if stamp != ZERO_STAMP:
+            self._missed.append(stamp)
         return None if self._latest is None else CameraChoice(self._latest, has_stamp=False)
+
+    def is_coming(self, stamp: Stamp) -> bool:
+        """
+        Return whether the camera with a stamp is likely to be on its way.
+
+        It is if no later one has come, and cameras have the stamps of images, or may have: several
+        have come, and none was waited for in vain.
+        """
+        is_later = self._latest_stamp != ZERO_STAMP and self._latest_stamp < stamp
+        may_match = len(self._by_stamp) > 1 if self._match is None else self._match
+        return is_later and may_match and stamp not in self._by_stamp
+
+
+class CameraQueue(Generic[Frame]):
+    """
+    Frames that wait, in order, for a camera that is on its way.
+
+    A small message that is lost beside large ones is sent again, seconds later.
+
+    Parameters
+    ----------
+    cameras : CameraMemory
+        The cameras that have come.
+    """
+
+    def __init__(self, cameras: CameraMemory[Any]) -> None:
+        self._cameras = cameras
+        self._waiting: deque[tuple[Stamp, Frame, int, float]] = deque()
+        self._bytes = 0
+
+    def __len__(self) -> int:
+        """Count the frames that wait."""
+        return len(self._waiting)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Iterate over the frames that wait, the first one first."""
+        return (frame for _, frame, _, _ in self._waiting)
+
+    def add(self, stamp: Stamp, frame: Frame, size: int, now: float) -> None:
+        """Add a frame of some bytes, at `now`, seconds of a monotonic clock."""
+        self._waiting.append((stamp, frame, size, now))
+        self._bytes += size
+
+    def ready(self, now: float, max_age: float, max_bytes: float) -> Iterator[Frame]:
+        """Remove and yield the frames that need not, or can no longer, wait for a camera."""
+        while self._waiting:
+            stamp, _, _, since = self._waiting[0]
+            may_wait = now - since <= max_age and self._bytes <= max_bytes
+            if may_wait and self._cameras.is_coming(stamp):
+                return
+            yield self.pop()
+
+    def pop(self) -> Frame:
+        """Remove and return the first frame."""
+        _, frame, size, _ = self._waiting.popleft()
+        self._bytes -= size
+        return frame

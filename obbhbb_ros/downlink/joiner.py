@@ -37,6 +37,7 @@ ZERO_STAMP: Stamp = (0, 0)
 # once, images and plans in any order.
 IMAGES_KEPT = 16
 PLANS_KEPT = 100
+CAMERAS_KEPT = 100
 _MAX_JOINED = 1000
 _MAX_GONE = 1000
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+from typing import NamedTuple
 
 from sensor_msgs.msg import CameraInfo
 from vision_msgs.msg import Detection2DArray
@@ -18,6 +19,7 @@ from vision_msgs.msg import Detection2DArray
 from obbhbb_ros.downlink.budget import FrameBudget
 from obbhbb_ros.downlink.budget import TokenBucket
 from obbhbb_ros.downlink.cameras import CameraMemory
+from obbhbb_ros.downlink.cameras import CameraQueue
 from obbhbb_ros.downlink.chips import ChipCutter
 from obbhbb_ros.downlink.chips import ChipError
 from obbhbb_ros.downlink.chips import Dropped
@@ -29,6 +31,7 @@ from obbhbb_ros.downlink.decoding import AnyImage
 from obbhbb_ros.downlink.decoding import decoded
 from obbhbb_ros.downlink.frame import FrameCut
 from obbhbb_ros.downlink.frame import FrameLink
+from obbhbb_ros.downlink.joiner import CAMERAS_KEPT
 from obbhbb_ros.downlink.joiner import IMAGES_KEPT
 from obbhbb_ros.downlink.joiner import PLANS_KEPT
 from obbhbb_ros.downlink.joiner import JoinerSide
@@ -89,6 +92,14 @@ class PlannedFrame:
         return len(self.plan)
 
 
+class PairedFrame(NamedTuple):
+    """An image with its plan, and when they met."""
+
+    image: AnyImage
+    planned: PlannedFrame
+    since: float
+
+
 class ChipExtractor(ManagedNode[ChipSettings]):
     """
     Managed node `chip_extractor`.
@@ -127,6 +138,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         )
         self._images.pair_with(self._plans)
         self._sources = StampCache[list[Source]](self._on_sources_dropped)
+        self._cameras = CameraMemory[Camera]()
+        self._paired = CameraQueue[PairedFrame](self._cameras)
         self._budget = self.parameters.settings.budget
         # The link remembers what was sent while the node is inactive.
         self._bucket = TokenBucket(self._budget, time.monotonic())
@@ -134,8 +147,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._spool: SpoolWriter | None = None
         self._spool_report: SpoolReport | None = None
         images, plans = reliable(IMAGES_KEPT), reliable(PLANS_KEPT)
-        # Camera infos and sources come first, so that they are there before images and plans.
-        self.topics.input(CameraInfo, 'camera_info', self._on_camera_info)
+        # Camera infos and sources come first, so that they are there before images and plans. After
+        # a stall there has to be a camera info for every image.
+        cameras = reliable(CAMERAS_KEPT)
+        self.topics.input(CameraInfo, 'camera_info', self._on_camera_info, qos=cameras)
         self._sources_in: TopicInput | None = None
         if self.parameters.settings.spool_path:
             self._sources_in = self.topics.input(
@@ -152,7 +167,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         # If Pillow is missing, fail here and not at the first chip.
         import PIL.Image  # noqa: F401
 
-        self._cameras = CameraMemory[Camera]()
+        self._cameras.clear()
         path = self.parameters.settings.spool_path
         if path:
             self._spool = SpoolWriter(Path(path), self._warn_of_spool)
@@ -162,6 +177,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         """Drop the images, plans and sources that wait for each other."""
         for waiting in (self._images, self._plans, self._sources):
             waiting.clear()
+        while self._paired:
+            frame = self._paired.pop()
+            self._on_image_dropped(Unpaired.CLEARED, frame.image)
+            self._on_plan_dropped(Unpaired.CLEARED, frame.planned)
 
     def cleanup(self) -> None:
         """Close the spool."""
@@ -173,8 +192,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         """Report what is waiting, the budget left, and the books of the spool."""
         now, _ = self._catch_up()
         facts = {
-            'chips_waiting': str(sum(map(len, self._plans.waiting))),
-            'images_waiting': str(len(self._images.waiting)),
+            'chips_waiting': str(
+                sum(map(len, self._plans.waiting)) + sum(len(each.planned) for each in self._paired)
+            ),
+            'images_waiting': str(len(self._images.waiting) + len(self._paired)),
             'budget_available': f'{self._bucket.available(now):.0f}',
         }
         if self._spool is not None and self._spool_report is not None:
@@ -197,6 +218,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         """Keep the camera for the image of its stamp."""
         camera = camera_of(data)
         self._cameras.add(camera.facts.stamp, camera, time.monotonic())
+        self._catch_up()
 
     def _on_sources(self, data: bytes) -> None:
         """Keep the sources of a plan until its image is cut."""
@@ -210,8 +232,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         now, limits = self._catch_up()
         planned = self._images.add(image.stamp, image, now, limits.images, limits.max_bytes)
         if planned is not None:
-            self._cut(image, planned, now)
-        self._cut_near(now, limits)
+            self._pair(image, planned, now)
+        self._cut_what_is_ready(now, limits)
 
     def _on_regions(self, data: bytes) -> None:
         """Keep a plan for its image, or cut the image if it is there."""
@@ -224,19 +246,27 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._sources.renew(plan.stamp, now)
         image = self._plans.add(plan.stamp, planned, now, limits.regions)
         if image is not None:
-            self._cut(image, planned, now)
-        self._cut_near(now, limits)
+            self._pair(image, planned, now)
+        self._cut_what_is_ready(now, limits)
 
-    def _cut_near(self, now: float, limits: PairLimits) -> None:
-        """Cut the images whose plan has another stamp, and is not to have one of its own."""
+    def _pair(self, image: AnyImage, planned: PlannedFrame, now: float) -> None:
+        """Let an image with its plan wait for its camera, if that is on its way."""
+        self._sources.renew(planned.plan.stamp, now)
+        frame = PairedFrame(image, planned, now)
+        self._paired.add(image.stamp, frame, image.data.nbytes, now)
+
+    def _cut_what_is_ready(self, now: float, limits: PairLimits) -> None:
+        """Cut the images that wait for nothing any more, or have waited long enough."""
         for image, planned in self._images.near_pairs(now, limits.slop, limits.max_age):
             self.monitor.add('frames_paired_by_slop')
-            self._cut(image, planned, now)
+            self._pair(image, planned, now)
+        for frame in self._paired.ready(now, limits.max_age, limits.max_bytes):
+            self._cut(*frame)
 
     def _catch_up(self) -> tuple[float, PairLimits]:
         """Deal with what has waited long enough; return the time and the limits of what waits."""
         now, limits = time.monotonic(), self._settings().pairing
-        self._cut_near(now, limits)
+        self._cut_what_is_ready(now, limits)
         for waiting in (self._images, self._plans, self._sources):
             waiting.expire(now, limits.max_age)
         return now, limits

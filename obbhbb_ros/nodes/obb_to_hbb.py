@@ -10,7 +10,9 @@ from sensor_msgs.msg import CameraInfo
 from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.downlink.cameras import CameraMemory
+from obbhbb_ros.downlink.joiner import CAMERAS_KEPT
 from obbhbb_ros.nodes.managed import ManagedNode
+from obbhbb_ros.nodes.node_topics import reliable
 from obbhbb_ros.pipeline import OTHER_FRAME
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.pipeline import Outputs
@@ -53,7 +55,8 @@ class ObbToHbb(ManagedNode[ConversionSettings]):
             for topic in ('boxes', 'crop_regions', 'crop_sources')
         ]
         # First, so that the node knows an image size that was published before the detections.
-        self.topics.input(CameraInfo, 'camera_info', self._on_camera_info)
+        cameras = reliable(CAMERAS_KEPT)
+        self.topics.input(CameraInfo, 'camera_info', self._on_camera_info, qos=cameras)
         self._detections = self.topics.input(
             self._input_type, self._input_type.topic, self._on_message, 'messages_received'
         )

@@ -222,6 +222,34 @@ def test_a_camera_of_another_size_is_not_that_of_the_image(node: ChipNode) -> No
     assert not found.k.any()
 
 
+def test_a_chip_waits_for_a_camera_that_is_on_its_way(node: ChipNode) -> None:
+    cameras = node.heard_publisher(CameraInfo, 'camera_info')
+    headers = [node.stamp() for _ in range(3)]
+    infos = []
+    for i, header in enumerate(headers):
+        infos.append(camera(4000, 3000))
+        infos[i].header = header
+        infos[i].roi = RegionOfInterest(x_offset=1000 * i, width=SIDE, height=SIDE)
+    cameras.publish(infos[0])
+    node.counts()
+    node.forget()
+    before = node.counts()
+    for header in headers:
+        send(node, 1, header)
+    node.wait(lambda: node.counts()['chips_waiting'] == 2, 'two chips that wait')
+    for info in infos[1:]:
+        cameras.publish(info)
+    node.wait(lambda: len(node.infos) == 3, 'three chips')
+    assert [info.roi.x_offset // 1000 for info in node.infos] == [0, 1, 2]
+    assert node.counts().since(before, 'camera_info') == {'camera_info_by_stamp': 3}
+    # If it does not come, the latest counts in the end, and the next image does not wait.
+    node.set({'cache.max_age': 0.5})
+    for _ in range(2):
+        send(node, 1, node.stamp())
+    node.wait(lambda: len(node.infos) == 5, 'two more')
+    assert node.counts().since(before)['camera_info_latest'] == 2
+
+
 def test_a_camera_of_another_size_is_said_with_both_sizes(node: ChipNode) -> None:
     before = node.counts()
     seen_by(node, camera(640, 480))
@@ -278,6 +306,7 @@ def test_a_chip_has_the_camera_of_its_image_though_its_plan_comes_late(node: Chi
         header.stamp.sec: (x + 100 * i, y + 10 * i) for i, header in enumerate(headers)
     }
     assert node.counts().since(before, 'camera_info') == {'camera_info_by_stamp': 5}
+    node.set({'cache.max_age': 0.5})
     send(node, 1, node.stamp())
     node.wait(lambda: len(node.infos) == 6, 'a chip of an image without a camera of its stamp')
     assert node.infos[-1].roi.x_offset == x + 400

@@ -313,10 +313,12 @@ def test_without_the_size_of_the_image_there_are_no_regions_but_a_warning(
     crops = unsized.peer.collect(Detection2DArray, 'crop_regions')
     # Until the node knows of the subscriber it has no reason to warn.
     unsized.wait(
-        lambda: unsized.convert(detections([SHIP])) and 'camera_info' in unsized.process.log,
+        lambda: (
+            unsized.convert(detections([SHIP])) and 'publish camera_info' in unsized.process.log
+        ),
         'the warning',
     )
-    line = unsized.wait_for_log('camera_info')
+    line = unsized.wait_for_log('publish camera_info')
     assert '[WARN]' in line
     assert 'image_width' in line
     assert 'image_height' in line

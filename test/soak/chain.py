@@ -6,23 +6,34 @@ Run conversion and chips for a long time and account for every frame and every c
 
 Images and detections go out at a steady rate; each frame must become boxes, a crop plan and chips:
 none lost, none sent twice, the memory of both nodes flat in the second half.
+
+    python test/soak/chain.py --minutes 10 --encoding yuv422 --binning 2 --moving-window
+
+The window of the camera moves from image to image. Every chip must have its place on the sensor,
+and the first one of every image the pixels of that place in that image.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import io
 import os
 import sys
 import time
 from array import array
 from collections import Counter
+from collections import defaultdict
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
+from PIL import Image as Picture
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo
@@ -38,15 +49,117 @@ from harness import site_at
 from harness import time_of
 from ships import detector_message
 
+from obbhbb_ros.wire.camera import read_camera
+from obbhbb_ros.wire.image import read_compressed_image
+
 REPORT_PERIOD, GRACE = 30.0, 30.0
+# At start, camera infos may be received later than images: before these frames it is not known
+# whether they have the same stamps.
+WARM_UP = 50
 DEEP = QoSProfile(depth=10_000)
+
+
+class Scene(NamedTuple):
+    """What the camera sees: square images of a moving window, if it moves."""
+
+    side: int
+    encoding: str = 'mono8'
+    binning: int = 1
+    moves: bool = False
+
+    def window(self, frame: int) -> tuple[int, int]:
+        """Return where on the sensor the image of a frame begins."""
+        if not self.moves:
+            return 0, 0
+        return (
+            2 * self.binning * (31 * frame % self.side),
+            2 * self.binning * (17 * frame % self.side),
+        )
+
+    def camera(self, frame: int) -> CameraInfo:
+        """Return the camera info of a frame."""
+        info = CameraInfo(width=4 * self.side * self.binning, height=4 * self.side * self.binning)
+        info.header.stamp.sec = frame
+        info.binning_x = info.binning_y = self.binning
+        info.roi.x_offset, info.roi.y_offset = self.window(frame)
+        info.roi.width = info.roi.height = self.side * self.binning
+        return info
+
+    def image(self, frame: int) -> bytes:
+        """Return the pixels of a frame."""
+        luma = self.luma(frame)
+        if self.encoding == 'mono8':
+            return luma.tobytes()
+        stored = np.full((self.side, 2 * self.side), 128, np.uint8)
+        stored[:, 1::2] = luma
+        return stored.tobytes()
+
+    def luma(self, frame: int) -> NDArray[np.uint8]:
+        """Return the brightness of a frame, different at every place and in every image."""
+        rows, columns = np.ogrid[: self.side, : self.side]
+        return (((columns + 3 * rows + 37 * frame) & 127) + 40).astype(np.uint8)
+
+    def shows(self, file: bytes, frame: int, place: tuple[int, int, int, int]) -> bool:
+        """Return whether a chip has the pixels of its place, given on the sensor."""
+        with Picture.open(io.BytesIO(file)) as picture:
+            grey = np.asarray(picture.convert('L')).astype(float)
+        (x, y), (left, top, width, height) = self.window(frame), place
+        x, y = (left - x) // self.binning, (top - y) // self.binning
+        width, height = width // self.binning, height // self.binning
+        expected = self.luma(frame)[y : y + height, x : x + width].astype(float)
+        if self.encoding != 'mono8':
+            expected = (expected - 16.0) * 255.0 / 219.0
+        return grey.shape == expected.shape and bool(np.abs(grey - expected).max() <= 2.0)
+
+
+class Witness:
+    """Compares places and pixels of the chips with the scene."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._first: dict[int, dict[str, Any]] = defaultdict(dict)
+        self.regions: dict[int, Counter[tuple[int, ...]]] = defaultdict(Counter)
+        self.checked = self.wrong = 0
+
+    def see(self, topic: str, data: bytes) -> None:
+        """Take a message on a topic of the chips."""
+        frame = stamp_of(data)
+        if topic == 'chip/camera_info':
+            camera = read_camera(data)
+            x, y = self._scene.window(frame)
+            left, top, width, height = camera.roi
+            self.regions[frame][left - x, top - y, width, height] += 1
+            stamp, seen = camera.stamp, camera.roi
+        else:
+            chip = read_compressed_image(data)
+            stamp, seen = chip.stamp, bytes(chip.data)
+        if stamp[1]:
+            return
+        first = self._first[frame]
+        first[topic] = seen
+        if len(first) == 2:
+            del self._first[frame]
+            self.checked += 1
+            place, file = first['chip/camera_info'], first['chip/compressed']
+            self.wrong += frame > WARM_UP and not self._scene.shows(file, frame, place)
+
+    def misplaced(self) -> list[int]:
+        """List the frames whose chips are not where those of the last frame are."""
+        expected = self.regions[max(self.regions, default=0)]
+        return [
+            frame
+            for frame, regions in self.regions.items()
+            if frame > WARM_UP and regions != expected
+        ]
 
 
 class Chain(ExitStack):
     """Both nodes, in separate processes, under a steady load."""
 
-    def __init__(self, site: Site, side: int, detections: int) -> None:
+    def __init__(self, site: Site, scene: Scene, detections: int) -> None:
         super().__init__()
+        side = scene.side
+        self._scene, self.witness = scene, Witness(scene)
         self._namespace = f'/chain_{os.getpid()}'
         self.peer = self.enter_context(Peer(site.context, self._namespace))
         self.chips: Counter[int] = Counter()
@@ -58,7 +171,7 @@ class Chain(ExitStack):
             (CameraInfo, 'chip/camera_info', self.places),
         ):
             self.peer.node.create_subscription(
-                kind, topic, lambda data, note=note: note.update((stamp_of(data),)), DEEP, raw=True
+                kind, topic, partial(self._note, topic, note), DEEP, raw=True
             )
         self.peer.node.create_subscription(DiagnosticArray, '/diagnostics', self._report, 10)
         size = {'image_width': side, 'image_height': side}
@@ -72,16 +185,19 @@ class Chain(ExitStack):
         patient = {
             f'{qos}/image.subscription.depth': 100,
             'cache.max_age': 60.0,
+            'codec': 'png',
         }
         self.processes = [
             self.enter_context(site.start(name, namespace=self._namespace, parameters=parameters))
             for name, parameters in (('obb_to_hbb', size | reliable), ('chip_extractor', patient))
         ]
         self._message = bytearray(detector_message(detections, side))
-        pixels = np.random.default_rng(1).integers(0, 256, side * side).astype(np.uint8)
-        image = Image(height=side, width=side, encoding='mono8', step=side)
-        image.data = array('B', pixels.tobytes())
+        pixels = scene.image(0)
+        step = len(pixels) // side
+        image = Image(height=side, width=side, encoding=scene.encoding, step=step)
+        image.data = array('B', pixels)
         self._image = bytearray(serialize_message(image))
+        self._pixels_at = len(self._image) - len(pixels)
         self.sent = 0
 
     def _report(self, message: DiagnosticArray) -> None:
@@ -96,10 +212,12 @@ class Chain(ExitStack):
         depths = QoSProfile(depth=1000), QoSProfile(depth=100)
         self._detections = self.peer.publisher(Detection2DArray, 'detections', depths[0])
         self._images = self.peer.publisher(Image, 'image', depths[1])
+        self._cameras = self.peer.publisher(CameraInfo, 'camera_info', depths[0])
         graph = self.peer.node
         self.peer.spin_until(
             lambda: (
                 graph.count_publishers('chip/compressed')
+                and self._cameras.get_subscription_count() == 2
                 and graph.count_subscribers('crop_regions')
                 and len(self.reports) == 2
             ),
@@ -110,9 +228,16 @@ class Chain(ExitStack):
     def send(self) -> None:
         """Send a frame; its stamp is its number."""
         self.sent += 1
+        self._cameras.publish(self._scene.camera(self.sent))
+        self._image[self._pixels_at :] = self._scene.image(self.sent)
         for data, publisher in ((self._image, self._images), (self._message, self._detections)):
             data[4:8] = self.sent.to_bytes(4, 'little')
             publisher.publish(bytes(data))
+
+    def _note(self, topic: str, note: Counter[int], data: bytes) -> None:
+        """Count a message of a chip, and look at it."""
+        note[stamp_of(data)] += 1
+        self.witness.see(topic, data)
 
     def settled(self) -> bool:
         """Return whether the last frame has come through."""
@@ -174,6 +299,12 @@ def verdict(chain: Chain) -> bool:
         f'lost {count(first, "messages_lost")} and {count(last, "messages_lost")}'
     )
     missing = [i for i in range(1, chain.sent + 1) if i not in chain.chips]
+    misplaced = chain.witness.misplaced()
+    print(
+        f'{chain.witness.checked} first chips compared with their image, {chain.witness.wrong} '
+        f'differ; frames with misplaced chips: {misplaced[:20]}; camera_info by stamp '
+        f'{count(last, "camera_info_by_stamp")}, latest {count(last, "camera_info_latest")}'
+    )
     if missing:
         print(f'frames without chips: {missing[:20]}')
     return (
@@ -182,6 +313,10 @@ def verdict(chain: Chain) -> bool:
         and chain.chips == chain.places
         and not dropped
         and not missing
+        and not misplaced
+        and chain.witness.checked == chain.sent
+        and not chain.witness.wrong
+        and count(last, 'camera_info_latest') <= WARM_UP
     )
 
 
@@ -192,8 +327,14 @@ def main() -> None:
     parser.add_argument('--side', type=int, default=512, help='of the images, pixels')
     parser.add_argument('--detections', type=int, default=100)
     parser.add_argument('--rate', type=float, default=10.0, help='frames per second')
+    parser.add_argument('--encoding', choices=('mono8', 'yuv422'), default='mono8')
+    parser.add_argument('--binning', type=int, default=1, help='of the camera')
+    parser.add_argument(
+        '--moving-window', action='store_true', help='another part of the sensor for every image'
+    )
     options = parser.parse_args()
-    with site_at() as site, Chain(site, options.side, options.detections) as chain:
+    scene = Scene(options.side, options.encoding, options.binning, options.moving_window)
+    with site_at() as site, Chain(site, scene, options.detections) as chain:
         resident = run(chain, options.rate, options.minutes)
         good = verdict(chain)
         codes = [process.close() for process in chain.processes]
