@@ -110,7 +110,7 @@ RINGS = {'polygon': _polygon, 'mask': _mask}
 
 def _numbers(element: Element, *names: str) -> list[float]:
     try:
-        return parse_numbers(_attribute(element, name) for name in names)
+        return parse_numbers([_attribute(element, name) for name in names])
     except ValueError as error:
         raise ValueError(f'<{element.tag}>: {error}') from None
 

@@ -11,6 +11,7 @@ from collections.abc import Collection
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from obbhbb_ros.labels.image_labels import ImageSize
@@ -103,6 +104,11 @@ def json_numbers(values: object, count: int | None, what: str) -> list[float]:
     """
     if not isinstance(values, list) or (count is not None and len(values) != count):
         raise ValueError(f'{what} is not an array of {"" if count is None else f"{count} "}numbers')
+    if {*map(type, values)} <= {int, float}:
+        with suppress(OverflowError):
+            numbers = list(map(float, values))
+            if math.isfinite(sum(numbers)):
+                return numbers
     return [json_number(value, what) for value in values]
 
 

@@ -60,7 +60,7 @@ def _parse(image: str, element: Element) -> shapes.Outlined:
     points = [(point.text or '').split(',') for point in element.iterfind('points/point')]
     if not all(len(point) == 2 for point in points):
         raise ValueError('a <point> is not x,y')
-    ring = shapes.ring_of_pairs(parse_numbers(field for point in points for field in point))
+    ring = shapes.ring_of_pairs(parse_numbers([field for point in points for field in point]))
     return shapes.Outlined(image, Box((), name, score=score), [ring])
 
 

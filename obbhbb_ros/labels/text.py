@@ -152,13 +152,15 @@ def split_rows(lines: Sequence[str]) -> list[list[str]]:
     return list(map(split_row, lines))
 
 
-def parse_numbers(fields: Iterable[str]) -> list[float]:
+def parse_numbers(fields: Sequence[str]) -> list[float]:
     """Turn fields into finite numbers, see `parse_number`."""
-    fields = list(fields)
-    with suppress(ValueError):
-        numbers = list(map(float, fields))
-        if all(map(math.isfinite, numbers)) and '_' not in ''.join(fields):
-            return numbers
+    try:
+        values = list(map(float, fields))
+    except ValueError:
+        values = [math.nan]
+    # A sum that overflows is no error, but takes the longer way as well.
+    if math.isfinite(sum(values)) and '_' not in ''.join(fields):
+        return values
     return [parse_number(field) for field in fields]
 
 
@@ -204,6 +206,8 @@ def parse_score(field: str) -> float:
 
 def is_number(field: str) -> bool:
     """Return whether a field is a finite number."""
+    if field[:1].isalpha():
+        return False
     if field[:1].isalpha():
         return False
     try:
