@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import statistics
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
@@ -32,6 +32,17 @@ Q = 3.0
 TOLERANCE = 0.05
 # What stands before the command line of a process.
 WITHOUT_ARROW = "import sys; sys.modules['pyarrow'] = None; "
+# Starts a process and says what it cost. A small one, as the peak memory of a process on Linux is
+# at least that of the one which starts it.
+MEASURE = """
+import os, sys
+to = os.open(os.devnull, os.O_WRONLY), 1
+process = os.posix_spawn(sys.executable, [sys.executable, *sys.argv[1:]], os.environ,
+                         file_actions=[(os.POSIX_SPAWN_DUP2, *to)])
+_, status, usage = os.wait4(process, 0)
+print(usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+sys.exit(status != 0)
+"""
 COMMAND = 'import sys; from obbhbb_ros.cli import main; sys.exit(main(sys.argv[1:]))'
 
 
@@ -217,11 +228,10 @@ class Cost(NamedTuple):
 
 def run(*arguments: str) -> Cost:
     """Run Python with these arguments, and return what the process cost."""
-    process = os.posix_spawn(sys.executable, [sys.executable, *arguments], dict(os.environ))
-    _, status, usage = os.wait4(process, 0)
-    if status:
-        raise SystemExit(f'failed: {arguments}')
-    return Cost(usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+    done = subprocess.run(
+        [sys.executable, '-c', MEASURE, *arguments], stdout=subprocess.PIPE, text=True, check=True
+    )
+    return Cost(*map(float, done.stdout.split()))
 
 
 def measure(name: str, folder: Path, count: int, rounds: int) -> None:
