@@ -42,6 +42,7 @@ class LeftOut(str, Enum):
     ZERO_WEIGHT = 'zero_weight'
     MAX_COUNT = 'max_count'
     MAX_PIXELS = 'max_pixels'
+    MAX_IMAGES = 'max_images'
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class CropSettings(CheckedSettings):
     above `max_size` are cut about their centre. Sides are rounded up to `multiple_of`, or down to
     `max_size`; a side that would exceed the image becomes as long as the image. Two regions are
     merged if the region around both has fewer pixels than the two together. A region that exceeds
-    the remaining `max_pixels` is left out; less valuable ones that fit are kept.
+    what is left of `max_pixels` or `max_images` is left out; less valuable ones that fit are kept.
 
     Examples
     --------
@@ -102,6 +103,12 @@ class CropSettings(CheckedSettings):
         '0: unlimited.',
         Range(0, MAX_INT),
     )
+    max_images: float = setting(
+        8.0,
+        'Maximum total pixels of the crop regions of a message, in times the pixels of the image; '
+        'the most valuable are kept. 0: unlimited.',
+        Range(0.0, 1e6),
+    )
 
     def __post_init__(self) -> None:
         """Check every value and their combination."""
@@ -121,6 +128,14 @@ class CropSettings(CheckedSettings):
         """Maximum side of a region, pixels: a multiple of `multiple_of`, infinite if unlimited."""
         step = max(self.multiple_of, 1)
         return self.max_size // step * step if self.max_size else np.inf
+
+    def pixel_limit(self, image_size: tuple[int, int]) -> tuple[float, LeftOut]:
+        """Return how many pixels all regions of an image may have, and which limit that is."""
+        by_image = self.max_images * image_size[0] * image_size[1] or np.inf
+        by_pixels = self.max_pixels or np.inf
+        if by_image < by_pixels:
+            return by_image, LeftOut.MAX_IMAGES
+        return by_pixels, LeftOut.MAX_PIXELS
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +231,7 @@ def plan_crops(
     plan = CropPlan(corners.T, rows, np.arange(len(rows) + 1), values, selection.left_out)
     if settings.merge_max_size and len(rows) > 1:
         plan = _merged(plan, image_size, settings)
-    return _limited(plan, settings)
+    return _limited(plan, settings.max_count, *settings.pixel_limit(image_size))
 
 
 class _Selection:
@@ -300,25 +315,26 @@ def _merged(plan: CropPlan, image_size: tuple[int, int], settings: CropSettings)
     return CropPlan(merged[:, order].T, sources, offsets, values[order], plan.left_out)
 
 
-def _limited(plan: CropPlan, settings: CropSettings) -> CropPlan:
+def _limited(plan: CropPlan, max_count: int, max_pixels: float, reason: LeftOut) -> CropPlan:
     """Keep the regions, in order of value, that are within the limits of a frame."""
-    is_too_many = 0 < settings.max_count < len(plan.regions)
-    if not is_too_many and not 0 < settings.max_pixels < plan.pixels:
+    is_too_many = 0 < max_count < len(plan.regions)
+    if not is_too_many and plan.pixels <= max_pixels:
         return plan
-    kept, end = _within_limits(_pixels(plan.regions.T).tolist(), settings)
+    kept, end = _within_limits(_pixels(plan.regions.T).tolist(), max_count, max_pixels)
     sizes = np.diff(plan.offsets)
     over_pixels, over_count = sizes[:end][~kept[:end]].sum(), sizes[end:].sum()
-    over = {LeftOut.MAX_PIXELS: int(over_pixels), LeftOut.MAX_COUNT: int(over_count)}
-    left_out = plan.left_out | {reason: count for reason, count in over.items() if count}
+    over = {reason: int(over_pixels), LeftOut.MAX_COUNT: int(over_count)}
+    left_out = plan.left_out | {why: count for why, count in over.items() if count}
     regions, sources = plan.regions.T[:, kept].T, plan.sources[np.repeat(kept, sizes)]
     return CropPlan(regions, sources, _offsets(sizes[kept]), plan.values[kept], left_out)
 
 
-def _within_limits(pixels: list[int], settings: CropSettings) -> tuple[NDArray[np.bool_], int]:
+def _within_limits(
+    pixels: list[int], max_count: int, pixels_left: float
+) -> tuple[NDArray[np.bool_], int]:
     """Select regions up to the limits; also return the index at which the count is reached."""
     kept = np.zeros(len(pixels), np.bool_)
-    count_left = settings.max_count or len(pixels)
-    pixels_left = settings.max_pixels or np.inf
+    count_left = max_count or len(pixels)
     for index, size in enumerate(pixels):
         if not count_left:
             return kept, index

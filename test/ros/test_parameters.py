@@ -74,6 +74,7 @@ CONTRACT = {
     'crop.merge_max_size',
     'crop.max_count',
     'crop.max_pixels',
+    'crop.max_images',
     'crop.compare_outer',
     'lock_parameters',
     'crop.q',
@@ -257,6 +258,7 @@ REFUSED = [
     ('crop.multiple_of', -8),
     ('crop.merge_max_size', -1),
     ('crop.max_pixels', -1),
+    ('crop.max_images', -0.5),
 ]
 
 

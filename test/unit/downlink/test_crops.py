@@ -52,6 +52,7 @@ def settings(draw):
         merge_max_size=draw(st.sampled_from([0, 50, 300, 10**6])),
         max_count=draw(st.integers(0, 6)),
         max_pixels=draw(st.sampled_from([0, 1, 5000, 60_000])),
+        max_images=draw(st.sampled_from([0.0, 0.01, 1.0, 8.0])),
     )
 
 
@@ -99,6 +100,8 @@ def test_the_most_valuable_come_first_and_stay_under_the_limits(frame, limits) -
         assert len(crop_plan.regions) <= limits.max_count
     if limits.max_pixels:
         assert crop_plan.pixels <= limits.max_pixels
+    if limits.max_images:
+        assert crop_plan.pixels <= limits.max_images * IMAGE[0] * IMAGE[1]
 
 
 def values_of(scores, rows):
@@ -120,7 +123,7 @@ def test_the_plan_does_not_depend_on_the_order_of_the_boxes(frame, limits, rando
     np.testing.assert_array_equal(scores[order][again.sources], scores[first.sources])
 
 
-LIMITS = ('max_count', 'max_pixels')
+LIMITS = ('max_count', 'max_pixels', 'max_images')
 
 
 @given(frames(), settings())
@@ -161,7 +164,7 @@ def test_crowds_are_merged_as_far_as_it_pays(count, side, limit) -> None:
     random = np.random.default_rng(count + side)
     center, reach = random.uniform(0, side, (count, 2)), random.uniform(5, 50, (count, 2))
     xyxy = np.clip(np.hstack((center - reach, center + reach)), 0, side)
-    crop_plan = plan(xyxy, CropSettings(merge_max_size=limit), image=(side, side))
+    crop_plan = plan(xyxy, CropSettings(merge_max_size=limit, max_images=0.0), image=(side, side))
     regions = crop_plan.regions
     low = np.minimum(regions[:, None, :2], regions[:, :2])
     high = np.maximum(regions[:, None, 2:], regions[:, 2:])
@@ -275,6 +278,22 @@ def test_the_pixels_of_a_frame_are_filled_by_value() -> None:
     assert crop_plan.pixels == 125
 
 
+def test_by_default_a_plan_has_the_pixels_of_eight_images_at_most() -> None:
+    whole = [[0, 0, *IMAGE]] * 1000
+    crop_plan = plan(whole)
+    assert crop_plan.pixels == 8 * IMAGE[0] * IMAGE[1]
+    assert crop_plan.left_out == {LeftOut.MAX_IMAGES: 992}
+    assert len(plan(whole, CropSettings(max_images=0.0)).regions) == 1000
+
+
+def test_the_smaller_limit_of_pixels_gives_the_reason() -> None:
+    boxes = [[0, 0, 10, 10], [20, 0, 30, 10]]
+    few = CropSettings(max_pixels=150, max_images=1.0)
+    assert plan(boxes, few).left_out == {LeftOut.MAX_PIXELS: 1}
+    few = CropSettings(max_pixels=150, max_images=120 / (IMAGE[0] * IMAGE[1]))
+    assert plan(boxes, few).left_out == {LeftOut.MAX_IMAGES: 1}
+
+
 def test_no_boxes_give_an_empty_plan() -> None:
     crop_plan = plan(np.empty((0, 4)))
     assert crop_plan.regions.shape == (0, 4)
@@ -292,6 +311,7 @@ def test_no_boxes_give_an_empty_plan() -> None:
         ('multiple_of', -8),
         ('merge_max_size', -1),
         ('max_pixels', -1),
+        ('max_images', -0.5),
     ],
 )
 def test_a_setting_out_of_range_is_an_error_that_names_it(field, value) -> None:
