@@ -25,11 +25,9 @@ from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.geometry.converter import convert_with_diagnostics
 from obbhbb_ros.labels import maps
 from obbhbb_ros.labels import parquet
-from obbhbb_ros.labels import yolo
-from obbhbb_ros.labels.folders import bare_name
 from obbhbb_ros.labels.formats import box_format
 from obbhbb_ros.labels.formats import find_labels
-from obbhbb_ros.labels.image_files import stored_size
+from obbhbb_ros.labels.image_completion import completed
 from obbhbb_ros.labels.image_labels import BowSource
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
@@ -232,7 +230,8 @@ def convert_file(
     image_size : tuple of int, optional
         Width and height of every image, pixels; by default from labels or images.
     report : callable
-        Gets a line for each malformed record and for each box that is left out.
+        Gets a line for each malformed record, for each box that is left out, and for what other
+        tools will miss.
     progress : callable, optional
         Gets the images as they are read and the number of files if `source` is a folder; passes
         the images on and shows the progress.
@@ -271,8 +270,7 @@ def convert_file(
     losses = _losses(target_labels, images, image_size)
     tally = replace(tally, malformed=len(malformed), bows=bows, losses=losses)
     if tally.readable:
-        if target_labels is yolo.UPRIGHT:
-            images = [_sized(image) for image in images]
+        images = completed(images, target_labels, report)
         assert target_labels.write_boxes is not None
         target_labels.write_boxes(target, images)
     return tally
@@ -302,16 +300,3 @@ def _losses(target: Format, images: Iterable[ImageBoxes], image_size: ImageSize 
     for image in images:
         count.add(image)
     return f'{target.name}: {count}' if str(count) else ''
-
-
-def _sized(image: ImageBoxes) -> ImageBoxes:
-    """Read the size from the image file if the labels do not have it."""
-    if image.size is not None or not image.class_ids:
-        return image
-    # The path that a label file of this image would have.
-    place = image.source.parent / f'{bare_name(image.image)}.txt'
-    try:
-        return replace(image, size=stored_size(place))
-    except LabelError as error:
-        advice = f'{error.message}: give the image size'
-        raise ValueError(f'image {image.image!r}: YOLO needs its size: {advice}') from None

@@ -19,7 +19,8 @@ Images are named by ``file_name``. Other members of an annotation are its proper
 
 Ids of boxes are written if all of them are different whole numbers; otherwise boxes are numbered
 from 1 and their ids written as ``instance``. Ids of images and categories are written if all images
-have different ones and the listed categories do not contradict. Scores are written if one is not 1,
+have different ones and the listed categories do not contradict; new categories follow by name.
+``file_name`` has the suffix of the image if it is known. Scores are written if one is not 1,
 ``difficulty`` if it is not 0, and diagnostics and properties as members of their annotation.
 """
 
@@ -43,6 +44,7 @@ from obbhbb_ros.files import write_pieces
 from obbhbb_ros.labels import coco_annotations
 from obbhbb_ros.labels import documents
 from obbhbb_ros.labels import text
+from obbhbb_ros.labels.class_order import ordered_classes
 from obbhbb_ros.labels.coco_boxes import MEMBERS
 from obbhbb_ros.labels.coco_boxes import id_of
 from obbhbb_ros.labels.extras import Id
@@ -139,7 +141,7 @@ def _category_ids(images: Sequence[ImageBoxes]) -> dict[str, Id]:
     sets = {id(image.extras.label_set): image.extras.label_set for image in images}
     listed = [entry for one in sets.values() for entry in one.categories.items()]
     ids = dict(listed)
-    names = dict.fromkeys([*ids, *(name for image in images for name in image.class_ids)])
+    names = dict.fromkeys([*ids, *ordered_classes(images)])
     if any(ids[name] != key for name, key in listed) or len(set(ids.values())) != len(ids):
         ids = {}
     last = max((key for key in ids.values() if isinstance(key, int)), default=0)
@@ -154,7 +156,7 @@ def _image_ids(images: Sequence[ImageBoxes]) -> list[Id]:
 
 
 def _image_record(number: Id, image: ImageBoxes) -> dict[str, Any]:
-    record: dict[str, Any] = {'id': number, 'file_name': image.image}
+    record: dict[str, Any] = {'id': number, 'file_name': image.file_name}
     if image.size is not None:
         record['width'], record['height'] = image.size
     return record
@@ -208,7 +210,8 @@ def _further_members(
     for box in image.rows(MEMBERS):
         named = _scored(box.score if scored else None, '' if keep_ids else box.id)
         difficulty = {'difficulty': box.difficulty} if box.difficulty else {}
-        yield {**box.diagnostics, **named, **difficulty, **box.properties}
+        known = {name: value for name, value in box.properties.items() if value is not None}
+        yield {**box.diagnostics, **named, **difficulty, **known}
 
 
 def _scored(score: float | None, instance: str) -> dict[str, Any]:

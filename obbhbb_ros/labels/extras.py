@@ -35,11 +35,14 @@ class LabelSet:
     in_degrees : bool
         Whether `crs` is in degrees, and the coordinates of `ImageLabels` are in the plane of
         `obbhbb_ros.labels.degrees`.
+    class_names : tuple of str
+        The names of class numbers, '' for a number without one, where the format has numbers.
     """
 
     categories: Mapping[str, Id] = field(default_factory=dict)
     crs: str = ''
     in_degrees: bool = False
+    class_names: tuple[str, ...] = ()
 
 
 NO_SET = LabelSet()

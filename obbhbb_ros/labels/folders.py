@@ -11,6 +11,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from obbhbb_ros.labels.image_labels import AnyImage
+from obbhbb_ros.labels.image_names import IMAGE_SUFFIXES
+from obbhbb_ros.labels.image_names import bare_name
 from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.text import write_lines
 
@@ -23,7 +25,6 @@ NO_LABELS = re.compile(
 )
 MAX_DEPTH = 3
 LIST_BYTES = 4096
-IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.tif', '.tiff', '.bmp', '.webp', '.jp2')
 
 
 def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
@@ -133,13 +134,6 @@ def write_per_image(
     files = [(file, lines(image)) for file, image in target_files(path, images, suffix)]
     for file, text in files:
         write_lines(file, text)
-
-
-def bare_name(image: str) -> str:
-    """Strip folders and an image suffix from an image name, as label files are named."""
-    name = image.replace('\\', '/').rpartition('/')[2]
-    stem, dot, suffix = name.rpartition('.')
-    return stem if f'{dot}{suffix}'.lower() in IMAGE_SUFFIXES else name
 
 
 def _file_stem(image: str) -> str:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections import Counter
 from collections.abc import Iterator
@@ -14,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.labels.folders import IMAGE_SUFFIXES
-from obbhbb_ros.labels.folders import bare_name
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.image_labels import ImageSize
+from obbhbb_ros.labels.image_names import IMAGE_SUFFIXES
+from obbhbb_ros.labels.image_names import bare_name
 from obbhbb_ros.labels.label_file import LabelError
 
 # 32768 x 32768: 3 GB at three bytes per pixel.
@@ -45,16 +46,25 @@ def find_images(labels: Sequence[ImageLabels]) -> list[Path | None]:
 
 
 def _find_image(labels: ImageLabels, only_one: bool) -> Path | None:
-    stem = bare_name(labels.image)
-    path = _image_of(labels.source, stem) if stem else None
-    return _image_of(labels.source, labels.source.stem) if path is None and only_one else path
+    path = image_beside(labels.source, labels.image)
+    return image_beside(labels.source, labels.source.stem) if path is None and only_one else path
 
 
-def _image_of(labels: Path, stem: str) -> Path | None:
+def image_beside(labels: Path, image: str) -> Path | None:
+    """
+    Return the file of an image that a label file has labels of; None if there is none.
+
+    It has the bare name of `image` and is beside the label file, or where Ultralytics keeps it: in
+    the folder that has ``images`` instead of the last ``labels`` in the path.
+    """
+    stem = bare_name(image)
+    if not stem:
+        return None
     names = [f'{stem}{end}' for suffix in IMAGE_SUFFIXES for end in (suffix, suffix.upper())]
     folders = _image_folders(labels.absolute().parent)
     paths = (folder / name for folder in folders for name in names)
-    return next((path for path in paths if path.is_file()), None)
+    # Unlike Path.is_file, this answers for names that no file can have.
+    return next(filter(os.path.isfile, paths), None)
 
 
 def _image_folders(folder: Path) -> Iterator[Path]:
@@ -65,26 +75,36 @@ def _image_folders(folder: Path) -> Iterator[Path]:
         yield Path(*parts[:last], 'images', *parts[last + 1 :])
 
 
+def size_of_file(path: Path) -> ImageSize:
+    """
+    Read width and height in pixels of an image file.
+
+    The size is that of the image as it is shown (EXIF orientation of JPEG applied). Raises
+    ValueError if it cannot be read or Pillow is not installed.
+    """
+    try:
+        return _shown_size(path)
+    except ImportError:
+        message = f'reading the size of {path} needs Pillow, which is not installed'
+        raise ValueError(message) from None
+    except Exception as error:
+        # Any exception: Pillow raises errors of many kinds for damaged files.
+        raise ValueError(f'cannot read {path} ({error})') from error
+
+
 def stored_size(labels: Path) -> ImageSize:
     """
-    Read width and height in pixels of the image that belongs to a label file.
+    Read the size, as `size_of_file` does, of the image that has the stem of a label file.
 
-    The image has the same stem and is beside the label file, or where Ultralytics keeps it: in
-    the folder that has ``images`` instead of the last ``labels`` in the path. The size is that of
-    the image as it is shown (EXIF orientation of JPEG applied). Raises LabelError if there is no
-    such image, it cannot be read, or Pillow is not installed.
+    Raises LabelError if there is no such image or its size cannot be read.
     """
-    image = _image_of(labels, labels.stem)
+    image = image_beside(labels, labels.stem)
     if image is None:
         raise LabelError(labels, None, 'no image beside it or in images/ to read the size from')
     try:
-        return _shown_size(image)
-    except ImportError:
-        message = f'reading the size of {image} needs Pillow, which is not installed'
-        raise LabelError(labels, None, message) from None
-    except Exception as error:
-        # Any exception: Pillow raises errors of many kinds for damaged files.
-        raise LabelError(labels, None, f'cannot read {image} ({error})') from error
+        return size_of_file(image)
+    except ValueError as error:
+        raise LabelError(labels, None, str(error)) from error
 
 
 def _shown_size(path: Path) -> ImageSize:

@@ -25,6 +25,7 @@ from obbhbb_ros.geometry.converter import Conversion
 from obbhbb_ros.labels.extras import NO_EXTRAS
 from obbhbb_ros.labels.extras import NO_PROPERTIES
 from obbhbb_ros.labels.extras import Extras
+from obbhbb_ros.labels.image_names import bare_name
 
 ImageSize = tuple[int, int]
 
@@ -176,6 +177,12 @@ class ImageBoxes:
         if not (np.isfinite(self.xyxy).all() and np.isfinite(self.scores).all()):
             raise ValueError(f'image {self.image!r}: a box has a value that is not finite')
         self.extras.check(self.image, count)
+
+    @property
+    def file_name(self) -> str:
+        """The name of the image, with folder and suffix of its file where that has this name."""
+        name = self.extras.file_name
+        return name if name and bare_name(name) == bare_name(self.image) else self.image
 
     def rows(self, reserved: Collection[str] = ()) -> Iterator[BoxRow]:
         """

@@ -47,6 +47,8 @@ class Format:
     problem : callable
         ``problem(head)`` says why the beginning of a file, though it may fit, means something else;
         '' if it does not. It then holds for all files of a folder.
+    needs_sizes : bool
+        Whether images with boxes cannot be written without their size.
     spread : bool
         Whether the boxes of an image may be in several files.
     """
@@ -61,6 +63,7 @@ class Format:
     holds: Collection[Part] = ()
     reserved: Collection[str] = ()
     problem: Callable[[str], str] = lambda _: ''
+    needs_sizes: bool = False
     spread: bool = False
 
 

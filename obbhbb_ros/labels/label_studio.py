@@ -38,10 +38,10 @@ from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import documents
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels import text
-from obbhbb_ros.labels.folders import IMAGE_SUFFIXES
 from obbhbb_ros.labels.image_labels import MIN_HULL_POINTS
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.image_labels import ImageSize
+from obbhbb_ros.labels.image_names import IMAGE_SUFFIXES
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile

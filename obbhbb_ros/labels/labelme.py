@@ -29,9 +29,9 @@ import numpy as np
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import documents
 from obbhbb_ros.labels import shapes
-from obbhbb_ros.labels.folders import bare_name
 from obbhbb_ros.labels.image_labels import MIN_HULL_POINTS
 from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.image_names import bare_name
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format

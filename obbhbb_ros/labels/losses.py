@@ -26,6 +26,7 @@ Part: TypeAlias = Literal[
     'image sizes',
     'image ids',
     'file names',
+    'image suffixes',
     'category ids',
     'reference system',
 ]
@@ -35,6 +36,7 @@ PARTS: tuple[Part, ...] = get_args(Part)
 SINGULARS: dict[Part, str] = {
     'difficulties': 'difficulty',
     'properties': 'property',
+    'image suffixes': 'image suffix',
     'images without boxes': 'image without boxes',
 }
 
@@ -117,7 +119,8 @@ def _counts(image: ImageBoxes) -> dict[Part, int]:
         'images without boxes': int(not image.class_ids),
         'image sizes': int(image.size is not None),
         'image ids': int(extras.image_id is not None),
-        'file names': int(bool(extras.file_name)),
+        'file names': int(extras.file_name not in ('', image.file_name)),
+        'image suffixes': int(image.file_name != image.image),
     }
 
 

@@ -180,5 +180,5 @@ FORMAT = Format(
     sniff=lambda head: re.search(f'<{ROOT}[ >]', head) is not None and '<objects>' not in head,
     read=_read,
     write_boxes=_write,
-    holds=('difficulties', 'file names', 'image sizes', 'images without boxes'),
+    holds=('difficulties', 'file names', 'image suffixes', 'image sizes', 'images without boxes'),
 )

@@ -198,6 +198,7 @@ UPRIGHT = Format(
     problem=partial(_problem, UPRIGHT_LAYOUT),
     read=partial(_read, UPRIGHT_LAYOUT),
     write_boxes=_write,
+    needs_sizes=True,
     holds=('scores', 'images without boxes'),
 )
 ORIENTED = Format(

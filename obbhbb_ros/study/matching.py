@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import ImageLabels
-from obbhbb_ros.labels.folders import bare_name
+from obbhbb_ros.labels.image_names import bare_name
 from obbhbb_ros.study.metrics import bounds
 from obbhbb_ros.study.metrics import iou
 

@@ -195,7 +195,7 @@ def test_images_without_ships_are_valid(source: Path, tmp_path: Path) -> None:
     [
         (['--to', 'dota'], "cannot write axis-aligned boxes as 'dota': use yolo"),
         (['--to', 'yolo', '--diagnostics'], 'cannot hold diagnostics'),
-        (['--to', 'yolo'], "image 'P1': YOLO needs its size"),
+        (['--to', 'yolo'], "image 'P1': yolo needs its size"),
         (['--from', 'papyrus', '--to', 'csv'], "unknown label format 'papyrus'"),
         ([], 'name the label format to write'),
         (['--to', 'csv', '--q', '0.5'], 'q must be 1 to inf'),
@@ -233,7 +233,7 @@ def test_labels_may_be_converted_in_place(tmp_path: Path) -> None:
 
 
 def test_the_command_runs_as_a_program_and_is_quiet_in_a_pipe(source: Path, tmp_path: Path) -> None:
-    command = [sys.executable, '-m', 'obbhbb_ros.cli', 'convert', source, tmp_path / 'out.json']
+    command = [sys.executable, '-m', 'obbhbb_ros.cli', 'convert', source, tmp_path / 'out.csv']
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stderr == ''
     assert done.stdout.startswith('2 images, 3 boxes converted')
