@@ -121,6 +121,25 @@ def test_lossy_gets_smaller_with_quality_and_stays_close(encoding, codec) -> Non
     assert np.abs(got[..., 0] - chip[..., 0]).mean() < 4
 
 
+@pytest.mark.parametrize(('side', 'is_smaller'), [(64, True), (1000, True), (1001, False)])
+def test_a_jpeg_up_to_a_million_pixels_is_smaller_with_the_same_pixels(side, is_smaller) -> None:
+    chip = np.random.default_rng(0).integers(90, 110, (side, side, 3), np.uint8)
+    plain = io.BytesIO()
+    Image.fromarray(chip).save(plain, 'jpeg', quality=85)
+    data = encode(chip, CodecSettings('jpeg', 85))
+    assert (len(data) < len(plain.getvalue())) is is_smaller
+    np.testing.assert_array_equal(
+        decoded(data, np.uint8), decoded(plain.getvalue(), np.uint8), strict=True
+    )
+
+
+def test_a_picture_that_pillow_cannot_make_smaller_is_a_jpeg_all_the_same() -> None:
+    hard = np.random.default_rng(0).integers(0, 2, (300, 300, 3), np.uint8) * np.uint8(255)
+    with pytest.raises(OSError, match='broken data stream'):
+        Image.fromarray(hard).save(io.BytesIO(), 'jpeg', quality=94, optimize=True)
+    assert decoded(encode(hard, CodecSettings('jpeg', 94)), np.uint8).shape == hard.shape
+
+
 @pytest.mark.parametrize('encoding', PIXEL_FORMATS)
 @pytest.mark.parametrize('codec', CODECS)
 def test_a_codec_that_cannot_hold_the_depth_is_refused_with_those_that_can(encoding, codec) -> None:
