@@ -21,6 +21,7 @@ from obbhbb_ros.spool.feeder import OutboxFeeder
 from obbhbb_ros.spool.feeder import ReleaseSettings
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.releaser import SpoolReleaser
+from obbhbb_ros.spool.seals import is_sealed
 from obbhbb_ros.spool.writer import SpoolWriter
 
 FACTS = {
@@ -62,6 +63,7 @@ class SpoolUsers:
     """A writer, a releaser and a console of one spool."""
 
     def __init__(self, folder: Path, on_trouble: Callable[[str], object]) -> None:
+        self.folder = folder
         self.writer = SpoolWriter(folder, on_trouble)
         self.releaser = SpoolReleaser(folder, on_trouble)
         self.console = SpoolConsole(folder, on_trouble)
@@ -107,7 +109,9 @@ def in_outbox(folder: Path) -> dict[str, dict[str, Any]]:
     descriptions = {}
     for path in sorted(visible):
         if path.suffix == '.json':
+            assert is_sealed(path.read_bytes())
             described = json.loads(path.read_text(encoding='utf-8'))
+            del described['digest']
             data = path.with_suffix('.jpg').read_bytes()
             assert path.stem == described['id']
             assert described['id'] not in descriptions, 'it is there twice'

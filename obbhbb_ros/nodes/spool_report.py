@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from obbhbb_ros.nodes.reporter import Reporter
-from obbhbb_ros.spool.books import SpoolAccess
+from obbhbb_ros.spool.access import SpoolAccess
 from obbhbb_ros.spool.books import Status
 
 _EVICTED = 'evicted.max_bytes'

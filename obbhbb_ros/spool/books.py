@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The books of a spool: the tables of its catalogue, and the rules by which they balance.
+The books of a spool, and the rules by which they balance.
 
 Every change is one transaction that is on disk when it ends: a frame is planned, its chips are
 stored, a chip is claimed, released, delivered. So at every instant
@@ -8,54 +8,136 @@ stored, a chip is claimed, released, delivered. So at every instant
     planned = delivered + waiting + evicted + refused + in work,
 
 where `in work` are the chips of frames that a running process has not stored yet.
+
+All that a catalogue holds besides chips is one text, sealed with a digest and kept twice. Damage to
+one of both costs nothing; of both, the catalogue.
 """
 
 from __future__ import annotations
 
+import json
+import secrets
 import sqlite3
+from collections import Counter
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import field
+from typing import Any
 
-from obbhbb_ros.spool.catalogue import Catalogue
 from obbhbb_ros.spool.chip_rows import ChipState
+from obbhbb_ros.spool.chip_rows import number_of
+from obbhbb_ros.spool.seals import is_sealed
+from obbhbb_ros.spool.seals import sealed
 
 # Chips to evict, and free pages to give back to the disk, in one transaction; a lowered limit is
 # reached in several.
 _MAX_EVICTED = _MAX_PAGES_GIVEN_BACK = 1000
 # The file may be larger than its limit by this factor.
 _SLACK = 1.1
-_VERSION = 1
-# Tables, and triggers that count the chips that move or leave.
-_SCHEMA = """
-CREATE TABLE chips (
-    seq INTEGER PRIMARY KEY AUTOINCREMENT,
-    id TEXT NOT NULL UNIQUE,
-    state INTEGER NOT NULL,
-    value REAL NOT NULL,
-    class_id TEXT NOT NULL,
-    bytes INTEGER NOT NULL,
-    facts TEXT NOT NULL,
-    data BLOB
-);
-CREATE INDEX chips_in_order ON chips (state, value DESC, seq);
-CREATE TABLE frames (
-    number INTEGER PRIMARY KEY AUTOINCREMENT, writer INTEGER NOT NULL, chips INTEGER NOT NULL
-);
-CREATE TABLE notes (name TEXT PRIMARY KEY, text TEXT NOT NULL);
-CREATE TABLE books (name TEXT PRIMARY KEY, count INTEGER NOT NULL);
-CREATE TABLE totals (state INTEGER PRIMARY KEY, chips INTEGER NOT NULL, bytes INTEGER NOT NULL);
-INSERT INTO totals VALUES (0, 0, 0), (1, 0, 0), (2, 0, 0);
-CREATE TRIGGER chip_moved AFTER UPDATE OF state ON chips BEGIN
-    UPDATE totals SET chips = chips - 1, bytes = bytes - OLD.bytes WHERE state = OLD.state;
-    UPDATE totals SET chips = chips + 1, bytes = bytes + NEW.bytes WHERE state = NEW.state;
-END;
-CREATE TRIGGER chip_out AFTER DELETE ON chips BEGIN
-    UPDATE totals SET chips = chips - 1, bytes = bytes - OLD.bytes WHERE state = OLD.state;
-END;
-"""
+LAST_IN_ORDER = 'SELECT k, value FROM chips WHERE state = ?1 ORDER BY k DESC, value LIMIT 1'
+"""Query for what a full spool evicts first, of a state."""
+# Tables, and so pages, of their own.
+_COPIES = ('books', 'books_copy')
+
+
+@dataclass
+class Books:
+    """
+    What a catalogue holds besides chips, as read and written by one transaction.
+
+    Attributes
+    ----------
+    counts : Counter
+        As in `Status`.
+    held : list of list of int
+        Number of chips, and bytes of their files, by `ChipState`.
+    frames : dict of str to list of int
+        Frames in work: for the number of each, its writer and how many chips it has.
+    last_seq : int
+        The last number of a chip.
+    outbox : str
+        Token of the outbox that chips are released into; empty before the first.
+    """
+
+    counts: Counter[str] = field(default_factory=Counter)
+    held: list[list[int]] = field(default_factory=lambda: [[0, 0] for _ in range(3)])
+    frames: dict[str, list[int]] = field(default_factory=dict)
+    last_seq: int = 0
+    outbox: str = ''
+
+    def count(self, name: str, number: int) -> None:
+        """Add to a count."""
+        if number:
+            self.counts[name] += number
+
+    def put(self, state: int, sizes: Iterable[Any]) -> int:
+        """Add chips with files of some sizes to a state; return how many."""
+        return self._add(state, 1, sizes)
+
+    def take(self, state: int, sizes: Iterable[Any]) -> int:
+        """Take chips with files of some sizes from a state; return how many."""
+        return self._add(state, -1, sizes)
+
+    def open_frame(self, writer: int, chips: int) -> int:
+        """Add a frame in work; return its number."""
+        number = secrets.randbits(48)
+        self.frames[str(number)] = [writer, chips]
+        return number
+
+    def close_frames_of(self, writer: int) -> None:
+        """Refuse the frames of a writer that ended before it stored them."""
+        ended = [name for name, frame in self.frames.items() if frame[0] == writer]
+        self.count('refused.interrupted', sum(self.frames.pop(name)[1] for name in ended))
+
+    def in_work(self) -> int:
+        """Count the chips of the frames in work."""
+        return sum(chips for _, chips in self.frames.values())
+
+    def text(self) -> str:
+        """Return the books as sealed JSON."""
+        return sealed(json.dumps(vars(self)).encode('ascii')).decode('ascii')
+
+    @classmethod
+    def read(cls, rows: sqlite3.Cursor, on_restored: Callable[[], object] = lambda: None) -> Books:
+        """
+        Read the books of a catalogue; if they are damaged take the copy, and count that.
+
+        Raises
+        ------
+        sqlite3.DatabaseError
+            If both are damaged.
+        """
+        for table in _COPIES:
+            with suppress(ValueError, TypeError, KeyError, RecursionError):
+                (text,) = rows.execute(f'SELECT text FROM {table}').fetchone()
+                if is_sealed(text.encode(errors='surrogatepass')):
+                    values = json.loads(text)
+                    del values['digest']
+                    books = cls(**values)
+                    books.counts = Counter(books.counts)
+                    if table != _COPIES[0]:
+                        books.count('restored', 1)
+                        on_restored()
+                    return books
+        raise sqlite3.DatabaseError('its books are damaged, and their copy, too')
+
+    def write(self, rows: sqlite3.Cursor) -> None:
+        """Write the books into a catalogue."""
+        text = self.text()
+        for table in _COPIES:
+            # Damage may have changed number and key of the rows.
+            rows.execute(f'DELETE FROM {table}')
+            rows.execute(f'INSERT INTO {table} VALUES (1, ?)', (text,))
+
+    def _add(self, state: int, sign: int, sizes: Iterable[Any]) -> int:
+        """Add or take chips; damage may have turned a size into anything."""
+        numbers = [size if isinstance(size, int) else 0 for size in sizes]
+        self.held[state][0] += sign * len(numbers)
+        self.held[state][1] += sign * sum(numbers)
+        return len(numbers)
 
 
 @dataclass(frozen=True)
@@ -103,98 +185,46 @@ class Status:
         return planned - gone - self.waiting - self.in_outbox - self.in_work
 
 
-class SpoolAccess:
-    """
-    What every user of a spool can do; the base of writer, releaser and console.
-
-    The spool is opened by the first call that needs it. Only one thread at a time may use it.
-    Methods raise `SpoolError` if the spool cannot be used now, because the disk is full for
-    example; the next call tries again.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the spool; created if it is missing.
-    on_trouble : callable
-        Called with a text about anything that an operator should know and that raises no error.
-    """
-
-    # Seconds to wait for another process.
-    _patience = 5.0
-
-    def __init__(self, folder: Path, on_trouble: Callable[[str], object]) -> None:
-        self._folder, self._on_trouble = Path(folder), on_trouble
-        self._catalogue = Catalogue(
-            self._folder, _SCHEMA, _VERSION, on_trouble, self._on_open, self._patience
-        )
-
-    def status(self) -> Status:
-        """Read the books."""
-        with self._catalogue.transaction() as rows:
-            totals = 'FROM totals WHERE state'
-            return Status(
-                waiting=number(rows, f'SELECT sum(chips) {totals} != ?', ChipState.RELEASED),
-                waiting_bytes=number(rows, f'SELECT sum(bytes) {totals} != ?', ChipState.RELEASED),
-                in_outbox=number(rows, f'SELECT chips {totals} = ?', ChipState.RELEASED),
-                in_work=number(rows, 'SELECT ifnull(sum(chips), 0) FROM frames'),
-                file_bytes=number(rows, 'PRAGMA page_count') * number(rows, 'PRAGMA page_size'),
-                set_aside=self._catalogue.set_aside,
-                least_value=rows.execute(
-                    'SELECT min(value) FROM chips WHERE state = ?', (ChipState.WAITING,)
-                ).fetchone()[0],
-                counts=dict(rows.execute('SELECT name, count FROM books').fetchall()),
-            )
-
-    def close(self) -> None:
-        """Close the catalogue and release the locks; the next call opens it again."""
-        self._catalogue.close()
-
-    def _on_open(self, rows: sqlite3.Cursor) -> None:
-        """Prepare a catalogue that has just been opened."""
-
-
 def number(rows: sqlite3.Cursor, query: str, *values: object) -> int:
     """Read one number."""
     return int(rows.execute(query, values).fetchone()[0])
 
 
-def book(rows: sqlite3.Cursor, name: str, count: int) -> None:
-    """Add to a count."""
-    if count:
-        rows.execute(
-            'INSERT INTO books VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET count = count + ?',
-            (name, count, count),
-        )
+def change_chips(rows: sqlite3.Cursor, change: str, ids: Iterable[str], state: int) -> list[int]:
+    """
+    Apply a statement to the chips of some ids, if they are in a state.
 
-
-def deliver(rows: sqlite3.Cursor, ids: Iterable[str]) -> None:
-    """Count chips as delivered and delete them."""
-    delivered = 0
+    Returns the bytes of the files of those that were changed.
+    """
+    sizes = []
     for chip_id in ids:
-        rows.execute('DELETE FROM chips WHERE id = ? RETURNING bytes', (chip_id,))
-        for (size,) in rows.fetchall():
-            delivered += 1
-            book(rows, 'delivered_bytes', size)
-    book(rows, 'delivered', delivered)
+        rows.execute(
+            f'{change} WHERE seq = ? AND id = ? AND state = ? RETURNING bytes',
+            (number_of(chip_id), chip_id, state),
+        )
+        sizes += [size for (size,) in rows.fetchall()]
+    return sizes
 
 
-def evict(rows: sqlite3.Cursor, max_bytes: float) -> bool:
+def evict(rows: sqlite3.Cursor, books: Books, max_bytes: float) -> bool:
     """
     Delete the least valuable chips, the oldest of equals first, to make room for the rest.
 
     Returns False if there is still no room when all waiting chips are gone.
     """
-    evicted, max_pages, is_left = 0, max_bytes / number(rows, 'PRAGMA page_size'), True
-    while is_left and evicted < _MAX_EVICTED and _used_pages(rows) > max_pages:
+    max_pages, is_left = max_bytes / number(rows, 'PRAGMA page_size'), True
+    sizes: list[int] = []
+    while is_left and len(sizes) < _MAX_EVICTED and _used_pages(rows) > max_pages:
         # Two queries, both answered by the one index.
         rows.execute(
-            'DELETE FROM chips WHERE seq = (SELECT seq FROM chips WHERE state = ?1 AND value = '
-            '(SELECT min(value) FROM chips WHERE state = ?1) ORDER BY seq LIMIT 1)',
+            'DELETE FROM chips WHERE seq = (SELECT seq FROM chips WHERE state = ?1 AND '
+            f'(k, value) = ({LAST_IN_ORDER}) ORDER BY seq LIMIT 1) RETURNING bytes',
             (ChipState.WAITING,),
         )
-        is_left = bool(rows.rowcount)
-        evicted += rows.rowcount
-    book(rows, 'evicted.max_bytes', evicted)
+        evicted = [size for (size,) in rows.fetchall()]
+        is_left = bool(evicted)
+        sizes += evicted
+    books.count('evicted.max_bytes', books.take(ChipState.WAITING, sizes))
     # Free pages are used again; only those far beyond a lowered limit go back to the disk.
     excess = number(rows, 'PRAGMA page_count') - int(_SLACK * max_pages)
     for _ in range(min(excess, number(rows, 'PRAGMA freelist_count'), _MAX_PAGES_GIVEN_BACK)):

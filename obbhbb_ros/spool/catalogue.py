@@ -17,9 +17,12 @@ import sqlite3
 import time
 from collections.abc import Callable
 from collections.abc import Iterator
+from contextlib import ExitStack
+from contextlib import closing
 from contextlib import contextmanager
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from obbhbb_ros.damaged_sqlite import lossy_text
 from obbhbb_ros.errors import ObbhbbError
@@ -28,6 +31,8 @@ from obbhbb_ros.files import sync_folder
 _NAME = re.compile(r'chips_([0-9]+)_[0-9a-f]{6}\.sqlite3')
 DAMAGED = '.damaged'
 """Suffix of the mark beside a damaged database."""
+# Name of the lock of a process that opens a database.
+_OPENING = 'open.lock'
 # Seconds to wait for a process that holds the lock, after the first wait in vain.
 _IMPATIENCE = 0.05
 
@@ -37,7 +42,26 @@ class SpoolError(ObbhbbError, OSError):
 
 
 class SpoolDamagedError(SpoolError):
-    """The database in use is damaged and set aside; the next transaction begins a new one."""
+    """The database in use is damaged; the next transaction uses a mended or a new one."""
+
+
+class CatalogueSchema(NamedTuple):
+    """
+    The tables of a database.
+
+    Attributes
+    ----------
+    version : int
+        Their version; a database of another one is treated as damaged, except the one before.
+    script : str
+        SQL script that creates them.
+    migrate : callable
+        Makes them of those of the version before, by a cursor in a transaction.
+    """
+
+    version: int
+    script: str
+    migrate: Callable[[sqlite3.Cursor], object]
 
 
 class Catalogue:
@@ -50,10 +74,8 @@ class Catalogue:
     ----------
     folder : Path
         Folder of the database; created if it is missing.
-    schema : str
-        SQL script that creates the tables.
-    version : int
-        Version of the schema; a database of another version is treated as damaged.
+    schema : CatalogueSchema
+        Its tables.
     on_trouble : callable
         Called with a text about anything that an operator should know and that raises no error.
     on_open : callable
@@ -71,15 +93,14 @@ class Catalogue:
     def __init__(
         self,
         folder: Path,
-        schema: str,
-        version: int,
+        schema: CatalogueSchema,
         on_trouble: Callable[[str], object],
         on_open: Callable[[sqlite3.Cursor], object],
         patience: float,
     ) -> None:
         self._folder = folder
         self._patience = self._wait = patience
-        self._schema, self._version = schema, version
+        self._schema = schema
         self._on_trouble, self._on_open = on_trouble, on_open
         self._database: sqlite3.Connection | None = None
         self._path, self._inode = folder, 0
@@ -111,7 +132,8 @@ class Catalogue:
         Raises
         ------
         SpoolDamagedError
-            If the database is damaged. It is set aside, and the next transaction uses a new one.
+            If the database is damaged. It is set aside, and the next transaction uses a new one; or
+        only its indexes were, and the next transaction uses new ones.
         SpoolError
             If the database cannot be used now.
         """
@@ -122,7 +144,7 @@ class Catalogue:
                 self._set_wait(self._patience)
         except SpoolError:
             raise
-        except (sqlite3.Error, OSError) as error:
+        except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
             raise self._failure(error) from error
 
     def lock(self, name: str) -> bool:
@@ -172,12 +194,12 @@ class Catalogue:
         if not self._folder.exists():
             self._folder.mkdir(parents=True, exist_ok=True)
             sync_folder(self._folder.parent)
-        with _exclusive(self._folder / 'open.lock', self._wait):
+        with _exclusive(self._folder / _OPENING, self._wait):
             in_use = list(filter(is_in_use, catalogue_files(self._folder)))
             self._path = in_use[-1] if in_use else self._new_path()
             try:
                 return self._connect()
-            except sqlite3.DatabaseError as error:
+            except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
                 if not _is_damage(error):
                     raise
                 self._on_trouble(self._set_aside(error))
@@ -198,18 +220,45 @@ class Catalogue:
             database.execute('PRAGMA journal_mode = WAL')
             # When a transaction ends it is on disk, not only handed to the system.
             database.execute('PRAGMA synchronous = FULL')
-            (version,) = database.execute('PRAGMA user_version').fetchone()
-            if version == 0:
-                database.executescript(
-                    f'BEGIN IMMEDIATE; {self._schema} PRAGMA user_version = {self._version}; COMMIT'
-                )
-                sync_folder(self._folder)
-            elif version != self._version:
-                raise sqlite3.DatabaseError(f'its version is {version}, not {self._version}')
+            self._set_up(database)
         except BaseException:
             database.close()
             raise
         return database
+
+    def _set_up(self, database: sqlite3.Connection) -> None:
+        """Create the tables if the file is new; check that they are those of the schema."""
+        version, due = database.execute('PRAGMA user_version').fetchone()[0], self._schema.version
+        if version == 0 and not _tables(database):
+            database.executescript(
+                f'BEGIN IMMEDIATE; {self._schema.script} PRAGMA user_version = {due}; COMMIT'
+            )
+            sync_folder(self._folder)
+        elif version == due - 1:
+            self._migrate(database)
+        elif version != due:
+            raise sqlite3.DatabaseError(f'its version is {version}, not {due}')
+        with closing(sqlite3.connect(':memory:')) as model:
+            model.executescript(self._schema.script)
+            if _tables(model) != _tables(database):
+                raise sqlite3.DatabaseError('its tables are not those of its version')
+
+    def _migrate(self, database: sqlite3.Connection) -> None:
+        """Bring a database to the version in use, while no process uses it in any role."""
+        with ExitStack() as locks:
+            for path in self._folder.glob('*.lock'):
+                if path.name == _OPENING:
+                    continue
+                lock = _locked(path)
+                if lock is None:
+                    raise sqlite3.OperationalError(
+                        'a process of an earlier version uses it; end that one'
+                    )
+                locks.callback(os.close, lock)
+            with _transaction(database, write=True) as rows:
+                self._schema.migrate(rows)
+                rows.execute(f'PRAGMA user_version = {self._schema.version}')
+        database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
 
     def _failure(self, error: Exception) -> SpoolError:
         """Turn an error into one of ours; set the database aside if the error means damage."""
@@ -257,8 +306,21 @@ def _number(path: Path) -> int:
 
 
 def _is_damage(error: Exception) -> bool:
-    """Return whether an error means a damaged file; other errors have classes of their own."""
-    return type(error) is sqlite3.DatabaseError
+    """Return whether an error means a damaged file, rather than a disk or another process."""
+    if isinstance(error, sqlite3.OperationalError):
+        return str(error).startswith('no such')
+    # Damaged names make messages of SQLite that Python cannot read.
+    return isinstance(error, sqlite3.DatabaseError | UnicodeDecodeError) and not isinstance(
+        error, sqlite3.ProgrammingError | sqlite3.NotSupportedError
+    )
+
+
+def _tables(database: sqlite3.Connection) -> list[tuple[str, ...]]:
+    """List what a database consists of, in SQL, without what SQLite adds."""
+    return database.execute(
+        'SELECT type, name, tbl_name, sql FROM sqlite_master WHERE name NOT LIKE ? ORDER BY name',
+        ('sqlite_%',),
+    ).fetchall()
 
 
 @contextmanager

@@ -14,10 +14,11 @@ from typing import Any
 from typing import NamedTuple
 
 from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.spool.seals import digest_of
 from obbhbb_ros.wire.stamp import Stamp
 
-# As `NewChip.row` makes them.
-_ID = re.compile(r'-?[0-9]+_[0-9]{9,10}_[0-9a-f]{6}_[0-9]+')
+# As `NewChip.row` makes them; the last number is that of the row.
+_ID = re.compile(r'-?[0-9]+_[0-9]{9,10}_[0-9a-f]{6}_([0-9]{1,18})')
 
 
 class ChipState:
@@ -74,7 +75,7 @@ class NewChip:
             'bytes': len(self.data),
             'sha256': hashlib.sha256(self.data).hexdigest(),
         }
-        return (
+        chip = StoredChip(
             seq,
             f'{seconds}_{nanoseconds:09d}_{tag}_{seq}',
             ChipState.WAITING,
@@ -82,8 +83,8 @@ class NewChip:
             self.class_id,
             len(self.data),
             json.dumps(facts, ensure_ascii=False),
-            self.data,
         )
+        return (*chip.with_digest(), self.data)
 
 
 class StoredChip(NamedTuple):
@@ -96,6 +97,19 @@ class StoredChip(NamedTuple):
     class_id: str
     bytes: int
     facts: str
+    digest: str = ''
+    object: int | None = None
+
+    def with_digest(self) -> StoredChip:
+        """Return the chip with the digest of its description."""
+        return self._replace(digest=self._digest())
+
+    def is_intact(self) -> bool:
+        """Return whether the description is the one that was stored."""
+        # Damage may have turned a number or a text into anything.
+        with suppress(TypeError):
+            return self.digest == self._digest()
+        return False
 
     def describe(self) -> dict[str, Any]:
         """
@@ -103,19 +117,34 @@ class StoredChip(NamedTuple):
 
         Raises
         ------
-        ValueError
+        ValueError, RecursionError
             If the facts are damaged.
         """
         return {'id': self.id, 'value': self.value, **json.loads(self.facts)}
+
+    def _digest(self) -> str:
+        """Compute the digest of all that says what the chip is."""
+        # SQLite does not store the sign of zero.
+        numbers = f'{self.value + 0.0!r} {self.bytes} {self.object}'
+        texts = '\0'.join((self.id, numbers, self.class_id, self.facts))
+        return digest_of(texts.encode(errors='surrogatepass'))
 
 
 COLUMNS = ', '.join(StoredChip._fields)
 """The columns of a `StoredChip`, in their order."""
 
 
+def number_of(chip_id: str) -> int:
+    """Return the number of the row that an id names; 0, which no row has, if it names none."""
+    match = _ID.fullmatch(chip_id)
+    return int(match[1]) if match else 0
+
+
 def describe_intact(chip: StoredChip, data: bytes) -> dict[str, Any] | None:
     """Describe a chip; None if its description or its file, `data`, is damaged."""
-    with suppress(ValueError, KeyError, TypeError):
+    if not chip.is_intact():
+        return None
+    with suppress(ValueError, KeyError, TypeError, RecursionError):
         description = chip.describe()
         is_whole = description['sha256'] == hashlib.sha256(data).hexdigest()
         # Id and codec make the names of its files.

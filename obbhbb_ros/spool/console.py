@@ -4,19 +4,24 @@
 from __future__ import annotations
 
 import math
+import sqlite3
 import sys
+from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from obbhbb_ros.spool.books import SpoolAccess
-from obbhbb_ros.spool.books import book
+from obbhbb_ros.spool.access import SpoolAccess
+from obbhbb_ros.spool.books import Books
 from obbhbb_ros.spool.chip_rows import COLUMNS
 from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
+from obbhbb_ros.spool.chip_rows import number_of
 
+# Changes some chips in a transaction, and returns how many.
+_Change = Callable[[sqlite3.Cursor, Books, Sequence[StoredChip]], int]
 # Chips to change in one transaction, so that writers do not wait long.
 _PIECE = 1000
 
@@ -56,12 +61,18 @@ class ChipFilter:
 
     def sql(self) -> tuple[str, list[Any]]:
         """Return the same conditions for a catalogue: SQL and its values."""
-        clauses = ['value BETWEEN ? AND ?']
-        values: list[Any] = [self.min_value, self.max_value]
-        for column, texts in (('class_id', self.class_ids), ('id', self.ids)):
-            if texts:
-                clauses.append(f'{column} IN ({", ".join("?" * len(texts))})')
-                values += texts
+        clauses: list[str] = ['TRUE']
+        values: list[Any] = []
+        # Damage may have turned a value into something without a place in the order.
+        if (self.min_value, self.max_value) != (-math.inf, math.inf):
+            clauses.append('value BETWEEN ? AND ?')
+            values += (self.min_value, self.max_value)
+        # The number of a chip finds it at once.
+        numbers = [number_of(chip_id) for chip_id in self.ids]
+        for column, choices in (('class_id', self.class_ids), ('id', self.ids), ('seq', numbers)):
+            if choices:
+                clauses.append(f'{column} IN ({", ".join("?" * len(choices))})')
+                values += choices
         return ' AND '.join(clauses), values
 
 
@@ -78,7 +89,7 @@ class SpoolConsole(SpoolAccess):
             return [
                 StoredChip(*row)
                 for row in rows.execute(
-                    f'SELECT {COLUMNS} FROM chips WHERE {where} ORDER BY state, value DESC, seq '
+                    f'SELECT {COLUMNS} FROM chips WHERE {where} ORDER BY state, k, value DESC, seq '
                     'LIMIT ?',
                     (*values, limit),
                 )
@@ -94,26 +105,35 @@ class SpoolConsole(SpoolAccess):
 
     def revalue(self, chips: ChipFilter, factor: float, addend: float) -> int:
         """Change the value of waiting chips to `value * factor + addend`; return how many."""
-        return self._change_waiting(
-            chips,
-            'UPDATE chips SET value = max(min(value * ? + ?, ?), ?) WHERE seq = ?',
-            # JSON has no infinite numbers.
-            (factor, addend, sys.float_info.max, -sys.float_info.max),
-        )
+
+        def change(rows: sqlite3.Cursor, books: Books, old: Sequence[StoredChip]) -> int:
+            revalued = [_revalued(chip, factor, addend) for chip in old if chip.is_intact()]
+            rows.executemany(
+                'UPDATE chips SET value = ?, digest = ? WHERE seq = ?',
+                [(chip.value, chip.digest, chip.seq) for chip in revalued],
+            )
+            return len(revalued)
+
+        return self._change_waiting(chips, change)
 
     def delete(self, chips: ChipFilter) -> int:
         """Delete waiting chips, and count them as evicted; return how many."""
-        return self._change_waiting(
-            chips, 'DELETE FROM chips WHERE seq = ?', booked_as='evicted.deleted'
-        )
+
+        def change(rows: sqlite3.Cursor, books: Books, old: Sequence[StoredChip]) -> int:
+            rows.executemany('DELETE FROM chips WHERE seq = ?', [(chip.seq,) for chip in old])
+            deleted = books.take(ChipState.WAITING, [chip.bytes for chip in old])
+            books.count('evicted.deleted', deleted)
+            return deleted
+
+        return self._change_waiting(chips, change)
 
     def forget_outbox(self) -> int:
         """Count the chips in the outbox as evicted, and accept any outbox; return how many."""
-        with self._catalogue.transaction(write=True) as rows:
-            rows.execute('DELETE FROM chips WHERE state = ?', (ChipState.RELEASED,))
-            lost = rows.rowcount
-            book(rows, 'evicted.outbox_lost', lost)
-            rows.execute("DELETE FROM notes WHERE name = 'outbox'")
+        with self._booking() as (rows, books):
+            rows.execute('DELETE FROM chips WHERE state = ? RETURNING bytes', (ChipState.RELEASED,))
+            lost = books.take(ChipState.RELEASED, [size for (size,) in rows.fetchall()])
+            books.count('evicted.outbox_lost', lost)
+            books.outbox = ''
         return lost
 
     def integrity(self) -> list[str]:
@@ -121,24 +141,27 @@ class SpoolConsole(SpoolAccess):
         with self._catalogue.transaction() as rows:
             return [text for (text,) in rows.execute('PRAGMA integrity_check') if text != 'ok']
 
-    def _change_waiting(
-        self, chips: ChipFilter, change: str, values: Sequence[Any] = (), booked_as: str = ''
-    ) -> int:
-        """Apply a statement to waiting chips, in several transactions; return to how many."""
+    def _change_waiting(self, chips: ChipFilter, change: _Change) -> int:
+        """Change waiting chips, in several transactions; return how many were changed."""
         where, conditions = chips.sql()
-        changed, seqs = 0, [0]
-        while seqs:
-            with self._catalogue.transaction(write=True) as rows:
-                seqs = [
-                    seq
-                    for (seq,) in rows.execute(
-                        f'SELECT seq FROM chips WHERE state = ? AND seq > ? AND {where} '
-                        'ORDER BY seq LIMIT ?',
-                        (ChipState.WAITING, seqs[-1], *conditions, _PIECE),
-                    )
-                ]
-                rows.executemany(change, [(*values, seq) for seq in seqs])
-                if booked_as:
-                    book(rows, booked_as, len(seqs))
-            changed += len(seqs)
-        return changed
+        changed, last = 0, 0
+        while True:
+            with self._booking() as (rows, books):
+                rows.execute(
+                    f'SELECT {COLUMNS} FROM chips WHERE state = ? AND seq > ? AND {where} '
+                    'ORDER BY seq LIMIT ?',
+                    (ChipState.WAITING, last, *conditions, _PIECE),
+                )
+                old = [StoredChip(*row) for row in rows.fetchall()]
+                changed += change(rows, books, old)
+            if not old:
+                return changed
+            last = old[-1].seq
+
+
+def _revalued(chip: StoredChip, factor: float, addend: float) -> StoredChip:
+    """Return a chip with another value."""
+    # JSON has no infinite numbers.
+    limit = sys.float_info.max
+    value = max(min(chip.value * factor + addend, limit), -limit)
+    return chip._replace(value=value).with_digest()

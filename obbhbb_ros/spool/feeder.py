@@ -271,7 +271,7 @@ class OutboxFeeder:
         settings = self._refresh()
         description = describe_intact(chip, data)
         if description is None:
-            self._spool.evict_damaged(chip.id)
+            self._spool.evict_damaged(chip)
             self._batch.left.discard(chip.id)
             self._unsure.discard(chip.id)
             self._on_trouble(f'{chip.id} is damaged in the spool and was evicted')

@@ -21,6 +21,7 @@ from typing import Any
 
 from obbhbb_ros.files import replacing
 from obbhbb_ros.files import sync_folder
+from obbhbb_ros.spool.seals import sealed
 
 JSON_SUFFIX = '.json'
 # Prefix of hidden files, such as unfinished ones.
@@ -144,8 +145,8 @@ class Outbox:
 
 
 def json_bytes(description: dict[str, Any]) -> bytes:
-    """Return the content of the JSON file of a chip."""
-    return json.dumps(description, ensure_ascii=False).encode(errors='replace')
+    """Return the content of the JSON file of a chip; it ends with a digest of itself."""
+    return sealed(json.dumps(description, ensure_ascii=False).encode(errors='replace'))
 
 
 def level_of(value: float, thresholds: Sequence[float]) -> int:

@@ -8,19 +8,20 @@ from collections.abc import Collection
 from enum import Enum
 from typing import NamedTuple
 
-from obbhbb_ros.spool.books import SpoolAccess
-from obbhbb_ros.spool.books import book
-from obbhbb_ros.spool.books import deliver
-from obbhbb_ros.spool.books import number
+from obbhbb_ros.spool.access import SpoolAccess
+from obbhbb_ros.spool.books import Books
+from obbhbb_ros.spool.books import change_chips
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import COLUMNS
 from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
+from obbhbb_ros.spool.chip_rows import number_of
 
-# Maximum bytes of id and value in a JSON file.
+# Maximum bytes of id, value and digest in a JSON file.
 _JSON_ROOM = 128
-# Bytes that a chip costs on the link: its file and its JSON.
-_COST = f'(bytes + length(CAST(facts AS BLOB)) + {_JSON_ROOM})'
+# Bytes that a chip costs on the link: its file and its JSON. A damaged chip costs nothing: it is
+# claimed, and evicted.
+_COST = f'ifnull(bytes + length(CAST(facts AS BLOB)) + {_JSON_ROOM}, 0)'
 
 
 class Stall(Enum):
@@ -81,51 +82,58 @@ class SpoolReleaser(SpoolAccess):
         Claim
             The chips, and why there are no more.
         """
-        with self._catalogue.transaction(write=True) as rows:
+        with self._booking() as (rows, books):
             states = [ChipState.CLAIMED, ChipState.WAITING] if is_resumed else [ChipState.WAITING]
             claim = _next_chips(rows, states, count, room, max_cost, overhead)
+            for chip, _ in claim.chips:
+                books.take(chip.state, [chip.bytes])
+                books.put(ChipState.CLAIMED, [chip.bytes])
             rows.executemany(
                 'UPDATE chips SET state = ? WHERE seq = ?',
                 [(ChipState.CLAIMED, chip.seq) for chip, _ in claim.chips],
             )
             if claim.chips or claim.stall:
                 return claim
-            waiting = number(rows, 'SELECT sum(chips) FROM totals WHERE state <= ?', max(states))
+            waiting = sum(books.held[state][0] for state in states)
             return Claim([], Stall.ALL_TOO_LARGE if waiting else Stall.NOTHING_WAITS)
 
     def unclaim(self, ids: Collection[str]) -> None:
         """Put claimed chips back into their place."""
         if ids:
-            with self._catalogue.transaction(write=True) as rows:
-                rows.executemany(
-                    'UPDATE chips SET state = ? WHERE id = ? AND state = ?',
-                    [(ChipState.WAITING, chip_id, ChipState.CLAIMED) for chip_id in ids],
-                )
+            with self._booking() as (rows, books):
+                change = f'UPDATE chips SET state = {ChipState.WAITING}'
+                sizes = change_chips(rows, change, ids, ChipState.CLAIMED)
+                books.take(ChipState.CLAIMED, sizes)
+                books.put(ChipState.WAITING, sizes)
 
     def released(self, ids: Collection[str], is_delivered: bool) -> None:
         """Write down that claimed chips are in the outbox, and whether that delivers them."""
         if ids:
-            with self._catalogue.transaction(write=True) as rows:
+            with self._booking() as (rows, books):
                 # The outbox has the file now.
-                rows.executemany(
-                    'UPDATE chips SET state = ?, data = NULL WHERE id = ? AND state = ?',
-                    [(ChipState.RELEASED, chip_id, ChipState.CLAIMED) for chip_id in ids],
-                )
-                book(rows, 'released', rows.rowcount)
+                change = f'UPDATE chips SET state = {ChipState.RELEASED}, data = NULL'
+                sizes = change_chips(rows, change, ids, ChipState.CLAIMED)
+                books.take(ChipState.CLAIMED, sizes)
+                books.count('released', books.put(ChipState.RELEASED, sizes))
                 if is_delivered:
-                    deliver(rows, ids)
+                    _deliver(rows, books, ids)
 
     def delivered(self, ids: Collection[str]) -> None:
         """Write down that the bus has taken chips from the outbox."""
         if ids:
-            with self._catalogue.transaction(write=True) as rows:
-                deliver(rows, ids)
+            with self._booking() as (rows, books):
+                _deliver(rows, books, ids)
 
-    def evict_damaged(self, chip_id: str) -> None:
-        """Delete a chip whose file or description is damaged, and count it as evicted."""
-        with self._catalogue.transaction(write=True) as rows:
-            rows.execute('DELETE FROM chips WHERE id = ?', (chip_id,))
-            book(rows, 'evicted.damaged', rows.rowcount)
+    def evict_damaged(self, chip: StoredChip) -> None:
+        """Delete a claimed chip whose file or description is damaged; count it as evicted."""
+        with self._booking() as (rows, books):
+            # Its id may be damaged as well.
+            rows.execute(
+                'DELETE FROM chips WHERE seq = ? AND id IS ? AND state = ? RETURNING bytes',
+                (chip.seq, chip.id, ChipState.CLAIMED),
+            )
+            sizes = [size for (size,) in rows.fetchall()]
+            books.count('evicted.damaged', books.take(ChipState.CLAIMED, sizes))
 
     def ids(self, state: int) -> set[str]:
         """Return the ids of the chips in a state."""
@@ -136,13 +144,12 @@ class SpoolReleaser(SpoolAccess):
     def outbox(self) -> str:
         """Return the token of the outbox that chips are released into; empty before the first."""
         with self._catalogue.transaction() as rows:
-            row = rows.execute("SELECT text FROM notes WHERE name = 'outbox'").fetchone()
-        return row[0] if row else ''
+            return Books.read(rows).outbox
 
     def set_outbox(self, token: str) -> None:
         """Write down which outbox chips are released into."""
-        with self._catalogue.transaction(write=True) as rows:
-            rows.execute("REPLACE INTO notes VALUES ('outbox', ?)", (token,))
+        with self._booking() as (_, books):
+            books.outbox = token
 
     def _on_open(self, rows: sqlite3.Cursor) -> None:
         """Refuse to be a second releaser."""
@@ -153,6 +160,23 @@ class SpoolReleaser(SpoolAccess):
             )
 
 
+def _deliver(rows: sqlite3.Cursor, books: Books, ids: Collection[str]) -> None:
+    """Count released chips as delivered and delete them."""
+    for chip_id in ids:
+        rows.execute(
+            f'DELETE FROM chips WHERE seq = ? AND id = ? AND state = ? RETURNING {COLUMNS}',
+            (number_of(chip_id), chip_id, ChipState.RELEASED),
+        )
+        for chip in map(StoredChip._make, rows.fetchall()):
+            books.take(ChipState.RELEASED, [chip.bytes])
+            # Nobody knows what became of a chip with another id.
+            if chip.is_intact():
+                books.count('delivered', 1)
+                books.count('delivered_bytes', chip.bytes)
+            else:
+                books.count('evicted.damaged', 1)
+
+
 def _next_chips(
     rows: sqlite3.Cursor, states: list[int], count: int, room: float, max_cost: float, overhead: int
 ) -> Claim:
@@ -161,7 +185,7 @@ def _next_chips(
     for state in states:
         for cost, data, *fields in rows.execute(
             f'SELECT {_COST} + ? AS cost, data, {COLUMNS} FROM chips '
-            'WHERE state = ? AND cost <= ? ORDER BY value DESC, seq LIMIT ?',
+            'WHERE state = ? AND cost <= ? ORDER BY k, value DESC, seq LIMIT ?',
             (overhead, state, max_cost, count - len(chips)),
         ):
             if cost > room:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
+from contextlib import suppress
 from pathlib import Path
 
 from obbhbb_ros.damaged_sqlite import Gap
@@ -16,6 +17,8 @@ from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.chip_rows import describe_intact
 
 _COLUMNS = (*StoredChip._fields, 'data')
+# Catalogues of version 1 have no digests.
+_COLUMNS_1 = (*StoredChip._fields[:-2], 'data')
 
 
 def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
@@ -40,12 +43,14 @@ def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
     gaps: list[Gap] = []
     is_empty = True
     with closing(_open(path)) as database:
-        for *fields, data in rows_around_damage(database, 'chips', _COLUMNS, gaps.append):
+        columns = _columns_of(path, database)
+        for *fields, data in rows_around_damage(database, 'chips', columns, gaps.append):
             is_empty = False
             chip = StoredChip(*fields)
-            # Damage may have turned a value into a text.
-            is_readable = data is not None and isinstance(chip.value, float)
-            if is_readable and describe_intact(chip, data):
+            if columns is _COLUMNS_1:
+                with suppress(TypeError):
+                    chip = chip.with_digest()
+            if describe_intact(chip, data):
                 yield chip, data
     if gaps and is_empty:
         raise SpoolError(f'{path}: no chip can be read: {gaps[0].error}')
@@ -64,14 +69,21 @@ def _open(path: Path) -> sqlite3.Connection:
             f'{path}: {error}; it must be readable, and if its disk is read-only, copy all files '
             'of the same name to another'
         ) from error
-    except sqlite3.DatabaseError:
+    except (sqlite3.DatabaseError, UnicodeDecodeError):
         # Damage is found below, and row by row.
         pass
-    try:
-        database.execute(f'SELECT {", ".join(_COLUMNS)} FROM chips LIMIT 0')
-    except sqlite3.DatabaseError as error:
-        database.close()
-        raise SpoolError(
-            f'{path} is no catalogue of a spool, or its start is damaged: {error}'
-        ) from error
     return database
+
+
+def _columns_of(path: Path, database: sqlite3.Connection) -> tuple[str, ...]:
+    """Return the columns of its chips; SpoolError if it is not a catalogue."""
+    for columns in (_COLUMNS, _COLUMNS_1):
+        try:
+            database.execute(f'SELECT {", ".join(columns)} FROM chips LIMIT 0')
+            return columns
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as failure:
+            # A message of SQLite with damaged names in it may be no text.
+            error = failure
+    raise SpoolError(
+        f'{path} is no catalogue of a spool, or its start is damaged: {error}'
+    ) from error

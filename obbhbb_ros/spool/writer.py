@@ -15,10 +15,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from obbhbb_ros.spool.books import SpoolAccess
-from obbhbb_ros.spool.books import book
+from obbhbb_ros.spool.access import SpoolAccess
+from obbhbb_ros.spool.books import Books
 from obbhbb_ros.spool.books import evict
-from obbhbb_ros.spool.books import number
 from obbhbb_ros.spool.catalogue import SpoolDamagedError
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import COLUMNS
@@ -87,12 +86,10 @@ class SpoolWriter(SpoolAccess):
     def plan(self, chips: int) -> FrameTicket:
         """Write down that a frame with some chips is in work."""
         try:
-            with self._transaction() as rows:
-                book(rows, 'planned', chips)
-                rows.execute(
-                    'INSERT INTO frames (writer, chips) VALUES (?, ?)', (self._number, chips)
-                )
-                return FrameTicket(self._catalogue.tag, int(rows.lastrowid or 0), chips)
+            with self._booking() as (_, books):
+                books.count('planned', chips)
+                number = books.open_frame(self._number, chips)
+            return FrameTicket(self._catalogue.tag, number, chips)
         except SpoolError as error:
             self._on_trouble(str(error))
             return FrameTicket('', 0, chips)
@@ -144,7 +141,7 @@ class SpoolWriter(SpoolAccess):
     def catch_up(self) -> None:
         """Write down what could not be written down before, if there is anything."""
         if self._open_frames or self._unbooked:
-            with suppress(SpoolError), self._transaction():
+            with suppress(SpoolError), self._booking():
                 pass
 
     def close(self) -> None:
@@ -153,14 +150,14 @@ class SpoolWriter(SpoolAccess):
         super().close()
 
     @contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Cursor]:
+    def _booking(self) -> Iterator[tuple[sqlite3.Cursor, Books]]:
         """Begin a transaction with what could not be written down before."""
-        with self._catalogue.transaction(write=True) as rows:
+        with super()._booking() as (rows, books):
             for ticket in self._open_frames:
-                self._close_frame(rows, ticket)
+                self._close_frame(books, ticket)
             for name, count in self._unbooked.items():
-                book(rows, name, count)
-            yield rows
+                books.count(name, count)
+            yield rows, books
         self._open_frames.clear()
         self._unbooked.clear()
 
@@ -172,51 +169,40 @@ class SpoolWriter(SpoolAccess):
         max_bytes: float,
     ) -> None:
         """Close a frame, insert its chips and make room."""
-        with self._transaction() as rows:
-            self._close_frame(rows, ticket)
+        with self._booking() as (rows, books):
+            self._close_frame(books, ticket)
             for reason, count in refused.items():
-                book(rows, f'refused.{reason}', count)
-            last = number(
-                rows, "SELECT ifnull(max(seq), 0) FROM sqlite_sequence WHERE name = 'chips'"
-            )
+                books.count(f'refused.{reason}', count)
+            first = books.last_seq + 1
             rows.executemany(
-                f'INSERT INTO chips ({COLUMNS}, data) VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
-                [chip.row(last + 1 + i, self._catalogue.tag) for i, chip in enumerate(chips)],
+                f'INSERT INTO chips ({COLUMNS}, data) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)',
+                [chip.row(first + i, self._catalogue.tag) for i, chip in enumerate(chips)],
             )
-            # Once for all of them: a trigger would take as long as the insertion.
-            rows.execute(
-                'UPDATE totals SET chips = chips + ?, bytes = bytes + ? WHERE state = ?',
-                (len(chips), sum(len(chip.data) for chip in chips), ChipState.WAITING),
-            )
-            if max_bytes and not evict(rows, max_bytes):
+            books.last_seq += books.put(ChipState.WAITING, [len(chip.data) for chip in chips])
+            if max_bytes and not evict(rows, books, max_bytes):
                 self._on_trouble(
                     f'{self._folder} is larger than spool.max_bytes, {max_bytes:.0f}, and no chip '
                     'is left to evict; chips are evicted as they come'
                 )
 
-    def _close_frame(self, rows: sqlite3.Cursor, ticket: FrameTicket) -> None:
+    def _close_frame(self, books: Books, ticket: FrameTicket) -> None:
         """Close a frame; one that was planned in another catalogue, or in none, is planned here."""
         if ticket.catalogue != self._catalogue.tag:
-            book(rows, 'planned', ticket.chips)
-        elif not rows.execute('DELETE FROM frames WHERE number = ?', (ticket.number,)).rowcount:
+            books.count('planned', ticket.chips)
+        elif books.frames.pop(str(ticket.number), None) is None:
             # Another writer has closed it, as a frame of a process that had ended.
-            book(rows, 'refused.interrupted', -ticket.chips)
+            books.count('refused.interrupted', -ticket.chips)
 
     def _on_open(self, rows: sqlite3.Cursor) -> None:
         """Take the first free number of a writer, and refuse the frames of writers that ended."""
-        last = number(rows, 'SELECT ifnull(max(writer), 0) FROM frames')
+        books = Books.read(rows)
+        last = max((writer for writer, _ in books.frames.values()), default=0)
         free = []
         for writer in itertools.count():
             if self._catalogue.lock(f'writer_{writer}'):
-                _refuse_interrupted(rows, writer)
+                books.close_frames_of(writer)
                 free.append(writer)
             if free and writer >= last:
-                self._number = free[0]
-                return
-
-
-def _refuse_interrupted(rows: sqlite3.Cursor, writer: int) -> None:
-    """Close the frames of a writer that ended before it stored them."""
-    chips = number(rows, 'SELECT ifnull(sum(chips), 0) FROM frames WHERE writer = ?', writer)
-    rows.execute('DELETE FROM frames WHERE writer = ?', (writer,))
-    book(rows, 'refused.interrupted', chips)
+                break
+        self._number = free[0]
+        books.write(rows)

@@ -32,6 +32,7 @@ from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels.image_files import opened_image
+from obbhbb_ros.spool.seals import is_sealed
 from obbhbb_ros.study.pages import rendered
 from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track
@@ -198,7 +199,8 @@ def _files(folder: Path, problems: list[str]) -> Iterator[Path]:
 
 def _checked(path: Path) -> GalleryChip:
     """Read a JSON and check its chip file; ValueError if the JSON cannot be used."""
-    facts = json.loads(path.read_text(encoding='utf-8'))
+    content = path.read_bytes()
+    facts = json.loads(content.decode('utf-8'))
     if not isinstance(facts, dict):
         raise ValueError('not a JSON object')
     for key, (meaning, is_right) in _KEYS.items():
@@ -207,7 +209,10 @@ def _checked(path: Path) -> GalleryChip:
         if not is_right(facts[key]):
             raise ValueError(f"key '{key}' is not {meaning}")
     chip = path.with_suffix(f'.{CODECS[facts["codec"]].suffix}')
-    return GalleryChip(chip, facts, *_damage(chip, facts))
+    damage, size = _damage(chip, facts)
+    if not is_sealed(content):
+        damage = damage or 'damaged: the digest of its JSON differs or is missing'
+    return GalleryChip(chip, facts, damage, size)
 
 
 def _damage(chip: Path, facts: dict[str, Any]) -> tuple[str, int | None]:

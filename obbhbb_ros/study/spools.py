@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -69,23 +70,31 @@ def chip_table(chips: Iterable[StoredChip]) -> str:
     """Write chips as a table, in the order of their release."""
     rows = [('id', 'class', 'value', 'kB', 'state')]
     for chip in chips:
-        value, size = f'{chip.value:.4g}', f'{chip.bytes / 1e3:.1f}'
-        rows.append((chip.id, printable(chip.class_id), value, size, STATES[chip.state]))
+        if chip.is_intact():
+            value, size = f'{chip.value:.4g}', f'{chip.bytes / 1e3:.1f}'
+            rows.append((chip.id, printable(chip.class_id), value, size, _state(chip)))
+        else:
+            rows.append((printable(str(chip.id)), 'damaged', '', '', _state(chip)))
     return '\n'.join(aligned(rows, left=(0, 1, 4)))
 
 
 def as_json(status: Status, chips: Iterable[StoredChip]) -> Mapping[str, Any]:
     """Return books and chips for a JSON file."""
     books = {name: value for name, value in vars(status).items() if name != 'file_bytes'}
-    return books | {'chips': [{**_described(chip), 'state': STATES[chip.state]} for chip in chips]}
+    return books | {'chips': [{**_described(chip), 'state': _state(chip)} for chip in chips]}
 
 
 def _described(chip: StoredChip) -> Mapping[str, Any]:
     """Describe a chip, as far as its description is not damaged."""
-    try:
-        return chip.describe()
-    except ValueError:
-        return {'id': chip.id, 'value': chip.value, 'damaged': True}
+    with suppress(ValueError, RecursionError):
+        if chip.is_intact():
+            return chip.describe()
+    return {'id': chip.id, 'value': chip.value, 'damaged': True}
+
+
+def _state(chip: StoredChip) -> str:
+    """Name the state of a chip."""
+    return dict(enumerate(STATES)).get(chip.state, 'damaged')
 
 
 def wrong_with(console: SpoolConsole) -> Iterator[str]:
@@ -94,7 +103,7 @@ def wrong_with(console: SpoolConsole) -> Iterator[str]:
         yield from console.integrity()
         for chip, data in console.files(track(console.select(), 'checking')):
             if describe_intact(chip, data) is None:
-                yield f'{chip.id}: its file is damaged'
+                yield f'{chip.id}: its file or description is damaged'
     except SpoolDamagedError as error:
         note(str(error))
     # Last: the checks may have set the catalogue aside.

@@ -205,6 +205,7 @@ def test_what_is_stored_is_released_with_everything_that_is_known_of_it(
         x, y, along, across, theta = ships[i]
         length, width = max(along, across), min(along, across)
         turned = theta + (np.pi / 2 if across > along else 0.0)
+        assert len(facts.pop('digest')) == 16
         facts_of_obb = facts.pop('obb')
         assert facts_of_obb[:4] == pytest.approx([x, y, length, width])
         assert np.cos(2 * (facts_of_obb[4] - turned)) == pytest.approx(1.0)

@@ -16,6 +16,7 @@ from spooled import store
 from spooled import values_in_outbox
 
 from obbhbb_ros.cli import main
+from obbhbb_ros.spool.books import Books
 from obbhbb_ros.spool.catalogue import DAMAGED
 from obbhbb_ros.spool.catalogue import catalogue_files
 from obbhbb_ros.spool.chip_rows import ChipState
@@ -197,9 +198,8 @@ def test_a_sound_spool_is_in_order(folder, capsys) -> None:
 @pytest.mark.parametrize(
     ('damage', 'words'),
     [
-        ("UPDATE chips SET data = x'00' WHERE seq = 5", '_5: its file is damaged'),
-        ("UPDATE chips SET facts = '{' WHERE seq = 5", '_5: its file is damaged'),
-        ("UPDATE books SET count = 11 WHERE name = 'planned'", '1 chips are unaccounted for'),
+        ("UPDATE chips SET data = x'00' WHERE seq = 5", '_5: its file or description is damaged'),
+        ("UPDATE chips SET facts = '{' WHERE seq = 5", '_5: its file or description is damaged'),
     ],
 )
 def test_check_reports_what_is_wrong(folder, capsys, damage, words) -> None:
@@ -208,6 +208,28 @@ def test_check_reports_what_is_wrong(folder, capsys, damage, words) -> None:
     assert run(folder, 'check') == 1
     (line,) = capsys.readouterr().out.splitlines()
     assert words in line
+
+
+def test_check_reports_books_that_do_not_balance(folder, capsys) -> None:
+    with database(folder) as rows:
+        books = Books.read(rows.cursor())
+        books.count('planned', 1)
+        books.write(rows.cursor())
+    assert run(folder, 'check') == 1
+    assert '1 chips are unaccounted for' in capsys.readouterr().out
+
+
+def test_a_chip_whose_description_is_damaged_is_shown_as_such(folder, capsys) -> None:
+    with database(folder) as rows:
+        rows.execute("UPDATE chips SET class_id = 'tuh', value = 'text' WHERE seq = 5")
+    assert run(folder) == 0
+    assert '_5  damaged  ' in capsys.readouterr().out
+    assert run(folder, '--json') == 0
+    chips = json.loads(capsys.readouterr().out)['chips']
+    assert [chip['id'][-2:] for chip in chips if chip.get('damaged')] == ['_5']
+    # It keeps its damage: a new digest would hide it.
+    assert run(folder, 'revalue', '--all', '--by', '2') == 0
+    assert capsys.readouterr().out == '4 chips revalued\n'
 
 
 def test_letters_that_the_terminal_lacks_are_written_as_numbers(tmp_path) -> None:

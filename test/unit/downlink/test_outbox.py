@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import shutil
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -30,8 +31,11 @@ def test_a_chip_lies_beside_its_json_in_the_folder_of_its_level(tmp_path, level,
     put(Outbox(tmp_path), level=level, suffix=suffix)
     assert names(tmp_path) == [f'{level}/a.{suffix}', f'{level}/a.json']
     assert (tmp_path / str(level) / f'a.{suffix}').read_bytes() == b'data'
-    described = json.loads((tmp_path / str(level) / 'a.json').read_text(encoding='utf-8'))
-    assert described == {'id': 'a', 'text': 'größe'}
+    content = (tmp_path / str(level) / 'a.json').read_bytes()
+    *facts, (last, digest) = json.loads(content).items()
+    assert dict(facts) == {'id': 'a', 'text': 'größe'}
+    # Of all bytes before it.
+    assert (last, digest) == ('digest', sha256(content[:-31]).hexdigest()[:16])
 
 
 def test_the_json_gets_its_name_last_when_both_are_on_disk(tmp_path, monkeypatch) -> None:

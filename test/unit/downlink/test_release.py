@@ -208,7 +208,7 @@ def test_a_stalled_step_tells_when_the_next_makes_sense(ground) -> None:
     pause = ground.feeder.step()
     # File, JSON of 300 to 500 bytes, and 128.
     assert 0.013 < pause < 0.017
-    ground.clock.now += pause
+    ground.clock.now += pause + 1e-6
     ground.steps()
     assert ground.out() == [0.5]
 

@@ -367,9 +367,9 @@ def test_nothing_is_evicted_without_a_limit(spool) -> None:
 def test_a_limit_without_room_for_any_chip_is_reported(spool, troubles) -> None:
     store(spool.writer, [0.5] * 10, 20_000, 0.1 * MB)
     assert troubles == []
-    store(spool.writer, [0.5], 20_000, 20_000)
+    store(spool.writer, [0.5], 20_000, 10_000)
     assert counts(spool).waiting == 0
-    assert 'spool.max_bytes, 20000, and no chip is left to evict' in troubles[0]
+    assert 'spool.max_bytes, 10000, and no chip is left to evict' in troubles[0]
 
 
 # Several processes
@@ -682,13 +682,14 @@ def test_chips_of_a_lost_catalogue_are_none_of_the_new_one(tmp_path, troubles) -
     """Both have a chip number 1."""
     spool = SpoolUsers(tmp_path / 'spool', troubles.append)
     store(spool.writer, [0.5])
-    ids = [chip.id for chip, _ in spool.releaser.claim(1, ALL, ALL, 0).chips]
+    ((lost, _),) = spool.releaser.claim(1, ALL, ALL, 0).chips
+    ids = [lost.id]
     shutil.rmtree(tmp_path / 'spool')
     store(spool.writer, [0.7])
     claimed = [chip.id for chip, _ in spool.releaser.claim(1, ALL, ALL, 0).chips]
     spool.releaser.released(ids, is_delivered=True)
     spool.releaser.unclaim(ids)
-    spool.releaser.evict_damaged(ids[0])
+    spool.releaser.evict_damaged(lost)
     assert spool.releaser.ids(ChipState.CLAIMED) == set(claimed)
     assert counts(spool).counts == {'planned': 1}
     spool.close()

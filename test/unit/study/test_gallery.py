@@ -332,6 +332,13 @@ def test_a_json_that_cannot_be_read_is_a_problem(tmp_path, capsys, content) -> N
     assert 'obbhbb: bad.json: ' in capsys.readouterr().err
 
 
+def change_json(chip, old, new):
+    path = chip.with_suffix('.json')
+    content = path.read_bytes()
+    assert old in content
+    path.write_bytes(content.replace(old, new))
+
+
 @pytest.mark.parametrize(
     ('damage', 'message', 'pictures'),
     [
@@ -342,8 +349,18 @@ def test_a_json_that_cannot_be_read_is_a_problem(tmp_path, capsys, content) -> N
             'damaged: sha256 differs',
             1,
         ),
+        (
+            lambda path: change_json(path, b'"frame_id": "c', b'"frame_id": "b'),
+            'damaged: the digest of its JSON differs',
+            1,
+        ),
+        (
+            lambda path: change_json(path, b'"digest"', b'"digesu"'),
+            'damaged: the digest of its JSON differs or is missing',
+            1,
+        ),
     ],
-    ids=['missing', 'size', 'sha256'],
+    ids=['missing', 'size', 'sha256', 'JSON', 'no digest'],
 )
 def test_a_damaged_chip_is_marked_and_shown_if_it_can_be(
     tmp_path, capsys, damage, message, pictures
