@@ -32,7 +32,7 @@ PLOTS = ['matplotlib>=3.6', 'jinja2>=3.0']
 IMAGES = ['pillow>=10.1']
 # The peers of the benchmarks.
 PEERS = ['supervision>=0.27']
-GEO = ['geopandas>=0.14', 'pyogrio>=0.7']
+GEO = ['geopandas>=0.14', 'pyogrio>=0.7', 'pyproj>=3.4', 'rasterio>=1.3']
 ARROW = ['pyarrow>=16.0']
 # What the page on Arrow shows.
 ENGINES = ['duckdb>=1.5', 'dask[dataframe,distributed]>=2024.1']

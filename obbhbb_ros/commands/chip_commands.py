@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from argparse import ArgumentParser
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,19 @@ from obbhbb_ros.commands.shared_options import add_number_options
 from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.files import write_text
+from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.labels import map_images
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.image_files import find_images
 from obbhbb_ros.labels.image_files import load_image
+from obbhbb_ros.labels.image_names import bare_name
 from obbhbb_ros.study import chip_costs
 from obbhbb_ros.study import tables
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.progress import note
+from obbhbb_ros.study.progress import track
+from obbhbb_ros.study.rules import DEFAULT_RULES
 
 
 def add_chips_options(parser: ArgumentParser) -> None:
@@ -37,6 +43,7 @@ def add_chips_options(parser: ArgumentParser) -> None:
         parser, CropSettings(), {'padding': 'fraction of the box to add on each side'}
     )
     add('--picture', type=Path, help='picture file for the first image and the costs')
+    add('--ships', type=Path, metavar='DIR', help='folder for a picture of each ship, all boxes')
 
 
 def run_chips(options: Namespace) -> None:
@@ -47,7 +54,7 @@ def run_chips(options: Namespace) -> None:
     else:
         images = list(read_labels(options.labels))
         pictures = [
-            (image, _picture(path, image))
+            _pictured(image, path)
             for image, path in zip(images, find_images(images), strict=True)
             if path is not None
         ]
@@ -62,20 +69,55 @@ def run_chips(options: Namespace) -> None:
 
         figures.save(figures.cost_figure(costs, *pictures[0], what), options.picture, dpi=75)
         print(f'\npicture: {options.picture}')
+    if options.ships:
+        print(f'\nships: {_draw_ships(options.ships, pictures)} pictures in {options.ships}')
 
 
-def _picture(path: Path, labels: ImageLabels) -> NDArray[np.uint8]:
-    """Load the image of labels, (H, W, C); 16 bits are stretched. Say if labels lie outside it."""
-    _, pixels = load_image(path)
+def _draw_ships(folder: Path, pictures: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> int:
+    """Draw the ships of images with the boxes of all methods, and return how many there are."""
+    from obbhbb_ros.study import figures
+
+    folder.mkdir(parents=True, exist_ok=True)
+    count = 0
+    for labels, pixels in pictures:
+        boxes = {
+            name: convert_by_rule(labels.boxes(), rule) for name, rule in DEFAULT_RULES.items()
+        }
+        height, width = pixels.shape[:2]
+        low, high = boxes['outer'][:, :2], boxes['outer'][:, 2:]
+        rows = np.flatnonzero(((high > 0.0) & (low < (width, height))).all(axis=1)).tolist()
+        for row in track(rows, f'drawing {labels.image}'):
+            figure = figures.ship_figure(labels, pixels, boxes, row)
+            figures.save(figure, folder / f'{bare_name(labels.image)}_{row + 1}.png', dpi=100)
+        count += len(rows)
+    return count
+
+
+def _pictured(labels: ImageLabels, path: Path) -> tuple[ImageLabels, NDArray[np.uint8]]:
+    """
+    Load the image of labels, (H, W, C); 16 bits are stretched. Say if labels lie outside it.
+
+    Labels in a map are returned in pixels.
+    """
+    if labels.extras.label_set.crs:
+        labels, pixels = map_images.in_pixels(labels, path), map_images.load_map_image(path)
+    else:
+        _, pixels = load_image(path)
     height, width = pixels.shape[:2]
     size, centers = f'{width} x {height} px', labels.boxes().center
-    outside = np.count_nonzero(((centers < 0.0) | (centers > (width, height))).any(axis=1))
-    if outside:
-        note(f'obbhbb: {path}: {outside} of {len(centers)} labels lie outside its {size}')
+    outside = ~((centers >= 0.0) & (centers <= (width, height))).all(axis=1)
+    if outside.any():
+        if outside.all() and map_images.lies_under(path, centers):
+            raise ValueError(
+                f'{labels.source}: the labels lie in the map of {path}, but name no reference '
+                'system: give them one, for example with ogr2ogr -a_srs EPSG:32633'
+            )
+        count = np.count_nonzero(outside)
+        note(f'obbhbb: {path}: {count} of {len(centers)} labels lie outside its {size}')
     if labels.size not in (None, (width, height)):
         claimed = '{} x {} px'.format(*labels.size or ())
         note(f'obbhbb: {path}: the image has {size}, its labels say {claimed}')
-    return np.atleast_3d(to_8_bits(pixels) if pixels.dtype.itemsize > 1 else pixels)
+    return labels, np.atleast_3d(to_8_bits(pixels) if pixels.dtype.itemsize > 1 else pixels)
 
 
 def add_gallery_options(parser: ArgumentParser) -> None:

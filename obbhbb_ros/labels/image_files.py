@@ -167,7 +167,7 @@ def load_image(path: Path) -> tuple[str, NDArray[Any]]:
         shown = ImageOps.exif_transpose(stored)
         if shown.mode in _WIDER_MODES:
             try:
-                return 'mono16', _as_16_bits(np.asarray(shown))
+                return 'mono16', as_16_bits(np.asarray(shown))
             except ValueError as error:
                 raise ValueError(f'{path}: {error}') from None
         if shown.mode not in _EXACT_MODES:
@@ -175,7 +175,7 @@ def load_image(path: Path) -> tuple[str, NDArray[Any]]:
         return _EXACT_MODES[shown.mode], np.asarray(shown)
 
 
-def _as_16_bits(pixels: NDArray[Any]) -> NDArray[np.uint16]:
+def as_16_bits(pixels: NDArray[Any]) -> NDArray[np.uint16]:
     """Return pixels, (H, W), as 16 bits, stretched if they do not fit; ValueError without any."""
     most = np.iinfo(np.uint16).max
     if pixels.dtype.kind in 'iu' and pixels.min(initial=0) >= 0 and pixels.max(initial=0) <= most:

@@ -52,6 +52,8 @@ _SHORT_DASHES = (0, (3, 3))
 _MARKERS = 'o^s*Dv<>'
 _CLOSE_UPS = 6
 _PANEL_WIDTH = 5.6
+# Of the picture of a ship, as a share of its longer side.
+_MARGIN = 0.12
 _STYLE = {
     'axes.spines.right': False,
     'axes.spines.top': False,
@@ -257,11 +259,21 @@ def scene_figure(labels: ImageLabels, boxes: Mapping[str, FloatArray]) -> Figure
         panel.set_title(f'{labels.class_ids[row]} {labels.ids[row]}, {degrees:.0f}°')
     handles = [
         patches.Patch(facecolor=_HULL, label='hull'),
-        Line2D([], [], color=ORIENTED_COLOR, ls=_DASHES, label='oriented box'),
-        *(Line2D([], [], color=color_of(name), ls=_dashes_of(name), label=name) for name in boxes),
+        *_handles_of(boxes),
     ]
     _add_legend_below(figure, 0.08, handles, ncol=5)
     return figure
+
+
+def _handles_of(methods: Iterable[str]) -> list[Line2D]:
+    """Return the lines of a legend: oriented box and methods."""
+    return [
+        Line2D([], [], color=ORIENTED_COLOR, ls=_DASHES, label='oriented box'),
+        *(
+            Line2D([], [], color=color_of(name), ls=_dashes_of(name), label=name)
+            for name in methods
+        ),
+    ]
 
 
 def _add_scale(axes: Any, x: float, y: float, longest: float) -> None:
@@ -295,6 +307,35 @@ def _draw_ships(
         _add_oriented_box(axes, labels.corners[row])
         for width, (name, xyxy) in zip(widths, boxes.items(), strict=True):
             _add_box(axes, xyxy[row], color_of(name), width, _dashes_of(name))
+
+
+def ship_figure(
+    labels: ImageLabels, pixels: NDArray[Any], boxes: Mapping[str, FloatArray], row: int
+) -> Figure:
+    """Draw a ship on its image, (H, W, C), with its oriented box and the boxes of all methods."""
+    points = np.concatenate(
+        [labels.corners[row], *(xyxy[row].reshape(2, 2) for xyxy in boxes.values())]
+    )
+    margin = _MARGIN * np.ptp(points, axis=0).max()
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    (x0, y0), (x1, y1) = (
+        np.clip(edge, 0, pixels.shape[1::-1]).astype(int) for edge in (np.floor(low), np.ceil(high))
+    )
+    figure = Figure(figsize=(6.4, 7.2), layout='constrained')
+    axes = figure.subplots()
+    gray: Any = {'cmap': 'gray', 'vmin': 0, 'vmax': 255} if pixels.shape[2] == 1 else {}
+    axes.imshow(pixels[y0:y1, x0:x1], extent=(x0, x1, y1, y0), **gray)
+    axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), xticks=[], yticks=[])
+    # The dashes are black.
+    axes.add_patch(patches.Polygon(labels.corners[row], fill=False, ec='white', lw=2.0))
+    _add_oriented_box(axes, labels.corners[row])
+    widths = np.linspace(0.5 * len(boxes), 1.0, len(boxes))
+    for width, (name, xyxy) in zip(widths, boxes.items(), strict=True):
+        _add_box(axes, xyxy[row], color_of(name), width, _dashes_of(name))
+    name = labels.ids[row] or str(row + 1)
+    axes.set_title(f'{labels.image}: {labels.class_ids[row]} {name}')
+    _add_legend_below(figure, 0.12, _handles_of(boxes), ncol=3, fontsize=8)
+    return figure
 
 
 def cost_figure(
