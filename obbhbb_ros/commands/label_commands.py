@@ -43,6 +43,8 @@ def add_convert_options(parser: ArgumentParser) -> None:
         metavar='FORMAT',
         help=f'format of OUT: {", ".join(written)}; default: by the suffix of OUT',
     )
+    variants = [f'{name} of {form.name}' for form in FORMATS.values() for name in form.variants]
+    add('--variant', metavar='NAME', help=f'write it otherwise: {", ".join(variants)}')
     add('--method', default=rule.method, help=f'{", ".join(METHODS)}; default: %(default)s')
     add_number_options(parser, rule, PARAMETERS)
     add_end_options(parser)
@@ -78,6 +80,7 @@ def run_convert(options: Namespace) -> int:
             caps,
             source_format=options.source_format,
             target_format=options.target_format,
+            variant=options.variant,
             image_size=options.image_size,
             diagnostics=options.diagnostics,
             bow=options.bow,

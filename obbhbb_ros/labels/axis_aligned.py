@@ -27,6 +27,7 @@ from obbhbb_ros.labels import maps
 from obbhbb_ros.labels import parquet
 from obbhbb_ros.labels.formats import box_format
 from obbhbb_ros.labels.formats import find_labels
+from obbhbb_ros.labels.image_border import clip_to_image
 from obbhbb_ros.labels.image_completion import completed
 from obbhbb_ros.labels.image_labels import BowSource
 from obbhbb_ros.labels.image_labels import ImageBoxes
@@ -36,6 +37,8 @@ from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
 from obbhbb_ros.labels.losses import LossCount
+
+OUTSIDE = 'outside the image'
 
 Progress = Callable[[Iterable[ImageLabels], 'int | None'], Iterable[ImageLabels]]
 
@@ -59,6 +62,8 @@ class LabelTally:
         Boxes whose bow is known; None if no bow was asked for.
     reordered : int
         Boxes whose corners were not in order around them.
+    cut : int
+        Boxes that end at the border of their image, as they do not in the labels.
     losses : str
         What the labels say and the format that is written cannot hold; '' for nothing.
     """
@@ -69,6 +74,7 @@ class LabelTally:
     malformed: int
     bows: int | None = None
     reordered: int = 0
+    cut: int = 0
     losses: str = ''
 
     @property
@@ -90,6 +96,7 @@ class LabelTally:
             f'{sum(self.left_out.values())} left out{f" ({reasons})" if reasons else ""}, '
             f'{self.malformed} malformed records skipped'
             f'{f", {self.reordered} with crossed corners put in order" if self.reordered else ""}'
+            f'{f", {self.cut} cut at the border of the image" if self.cut else ""}'
             f'{f"{chr(10)}not held by {self.losses}" if self.losses else ""}'
         )
 
@@ -205,6 +212,7 @@ def convert_file(
     *,
     source_format: str | None = None,
     target_format: str | None = None,
+    variant: str | None = None,
     image_size: tuple[int, int] | None = None,
     diagnostics: bool = False,
     bow: BowSource = 'none',
@@ -227,6 +235,8 @@ def convert_file(
     source_format, target_format : str, optional
         Names of `obbhbb_ros.labels.FORMATS`; by default the first is detected and the second
         follows from the suffix of `target`.
+    variant : str, optional
+        One of the other ways in which the target format is written.
     image_size : tuple of int, optional
         Width and height of every image, pixels; by default from labels or images.
     report : callable
@@ -247,6 +257,7 @@ def convert_file(
         If a file cannot be read or written.
     """
     target_labels = box_format(target, target_format, diagnostics)
+    write = target_labels.box_writer(variant)
     source_labels = find_labels(source, source_format)
     malformed: list[LabelError] = []
 
@@ -271,8 +282,10 @@ def convert_file(
     tally = replace(tally, malformed=len(malformed), bows=bows, losses=losses)
     if tally.readable:
         images = completed(images, target_labels, report)
-        assert target_labels.write_boxes is not None
-        target_labels.write_boxes(target, images)
+        if target_labels.needs_sizes:
+            images, tally = _clipped(images, tally, report)
+    if tally.readable:
+        write(target, images)
     return tally
 
 
@@ -291,6 +304,24 @@ def _rewritten(
 
     counts = parquet.rewrite(file, target, rule, caps, refuse)
     return None if counts is None else LabelTally(*counts, dict(reasons), malformed=0)
+
+
+def _clipped(
+    images: Iterable[ImageBoxes], tally: LabelTally, report: Callable[[str], None]
+) -> tuple[list[ImageBoxes], LabelTally]:
+    """Cut the boxes at the border of their image, and count."""
+    done: list[ImageBoxes] = []
+    outside = cut = 0
+    for image in images:
+        clipped = clip_to_image(image)
+        done.append(clipped.boxes)
+        outside += len(clipped.outside)
+        cut += clipped.cut
+        for row in clipped.outside:
+            place = f'{image.source}: image {image.image!r}'
+            report(f'{place}: box {row + 1} of {len(image.class_ids)} left out: {OUTSIDE}')
+    left_out = {**tally.left_out, **({OUTSIDE: outside} if outside else {})}
+    return done, replace(tally, boxes=tally.boxes - outside, left_out=left_out, cut=cut)
 
 
 def _losses(target: Format, images: Iterable[ImageBoxes], image_size: ImageSize | None) -> str:

@@ -18,6 +18,7 @@ from obbhbb_ros.labels.label_file import raise_error
 from obbhbb_ros.labels.text import is_index
 from obbhbb_ros.labels.text import text_lines
 
+DATA_FILE = 'data.yaml'
 MAX_BYTES = 2**20
 
 
@@ -58,9 +59,9 @@ def find_class_names(folder: Path) -> ClassNames:
 
 def _candidates(folder: Path) -> Iterator[Path]:
     for place in (folder, folder.parent):
-        for name in (CLASSES_FILE, 'obj.names', 'data.yaml'):
+        for name in (CLASSES_FILE, 'obj.names', DATA_FILE):
             yield place / name
-    yield folder.parent.parent / 'data.yaml'
+    yield folder.parent.parent / DATA_FILE
 
 
 def listed_names(path: Path) -> tuple[str, ...]:

@@ -6,13 +6,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from collections.abc import Collection
 from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass
+from dataclasses import field
 from pathlib import Path
 
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.losses import Part
+
+BoxWriter = Callable[[Path, list[ImageBoxes]], None]
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,8 @@ class Format:
         for names and values that the format cannot hold. None if the format is only read.
     write_boxes : callable or None
         The same for a list of `ImageBoxes`. None if the format is not written with these.
+    variants : mapping of str to callable
+        Other ways to write boxes, for tools that need them.
     holds : collection of Part
         What `write_boxes` writes besides boxes and classes.
     reserved : collection of str
@@ -48,7 +54,7 @@ class Format:
         ``problem(head)`` says why the beginning of a file, though it may fit, means something else;
         '' if it does not. It then holds for all files of a folder.
     needs_sizes : bool
-        Whether images with boxes cannot be written without their size.
+        Whether images with boxes cannot be written without their size, at which boxes are cut.
     spread : bool
         Whether the boxes of an image may be in several files.
     """
@@ -59,12 +65,23 @@ class Format:
     sniff: Callable[[str], bool]
     read: Callable[[LabelFile], Iterable[ImageLabels]]
     write: Callable[[Path, list[ImageLabels]], None] | None = None
-    write_boxes: Callable[[Path, list[ImageBoxes]], None] | None = None
+    write_boxes: BoxWriter | None = None
+    variants: Mapping[str, BoxWriter] = field(default_factory=dict)
     holds: Collection[Part] = ()
     reserved: Collection[str] = ()
     problem: Callable[[str], str] = lambda _: ''
     needs_sizes: bool = False
     spread: bool = False
+
+    def box_writer(self, variant: str | None) -> BoxWriter:
+        """Return `write_boxes` or the variant of that name; ValueError if there is none."""
+        writer = self.write_boxes if variant is None else self.variants.get(variant)
+        if writer is None:
+            known = ', '.join(self.variants) or 'none'
+            raise ValueError(
+                f'label format {self.name!r} has no variant {variant!r}: it has {known}'
+            )
+        return writer
 
 
 def names(formats: Iterable[Format]) -> str:

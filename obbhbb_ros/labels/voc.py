@@ -28,20 +28,27 @@ Without any, the upright box of ``bndbox`` is read. An object with another field
 refused. Other attributes are properties; parts of objects are not read. The image is named after
 the label file, since ``filename`` is often that of another image.
 
-Coordinates are written to VOC with their fractions: rounding would undo the conversion. ``size`` is
-written if it is known. VOC has no ids and scores: these are not written.
+Coordinates are written to VOC with their fractions: rounding would undo the conversion. In the
+variant ``integers`` they are whole numbers around the box; ``one-based`` counts the first pixel as
+1 and includes the last one, as supervision and Detectron2 read it; ``devkit`` does both, as the VOC
+devkit. ``size`` is written if it is known. VOC has no ids and scores: these are not written.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 from xml.etree.ElementTree import SubElement
 
+import numpy as np
+
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels.documents import parse_difficulty
 from obbhbb_ros.labels.folders import write_per_image
@@ -144,11 +151,30 @@ def _refuse_angles(*elements: Element) -> None:
                 raise ValueError(f'<{tag}> in <{element.tag}>: its unit and sense are unknown')
 
 
-def _write(path: Path, images: list[ImageBoxes]) -> None:
-    write_per_image(path, images, '.xml', _document)
+def _write(
+    path: Path,
+    images: list[ImageBoxes],
+    place: Callable[[FloatArray], FloatArray] = lambda xyxy: xyxy,
+    number: Callable[[float], str] = repr,
+) -> None:
+    placed = [replace(image, xyxy=place(image.xyxy)) for image in images]
+    write_per_image(path, placed, '.xml', partial(_document, number))
 
 
-def _document(image: ImageBoxes) -> list[str]:
+def _outward(xyxy: FloatArray) -> FloatArray:
+    return np.hstack((np.floor(xyxy[:, :2]), np.ceil(xyxy[:, 2:])))
+
+
+def _from_one(xyxy: FloatArray) -> FloatArray:
+    # The last pixel is included, so that its number stays.
+    return xyxy + np.array([1.0, 1.0, 0.0, 0.0])
+
+
+def _whole(value: float) -> str:
+    return str(int(value))
+
+
+def _document(number: Callable[[float], str], image: ImageBoxes) -> list[str]:
     root = Element(ROOT)
     _add(root, filename=image.extras.file_name or image.image)
     if image.size is not None:
@@ -160,7 +186,7 @@ def _document(image: ImageBoxes) -> list[str]:
         element = SubElement(root, 'object')
         _add(element, name=box.class_id, pose='Unspecified', truncated='0')
         _add(element, difficult=str(box.difficulty))
-        bounds = map(repr, box.xyxy)
+        bounds = map(number, box.xyxy)
         _add(SubElement(element, 'bndbox'), **dict(zip(BOUNDS, bounds, strict=True)))
     ElementTree.indent(root)
     return [ElementTree.tostring(root, encoding='unicode')]
@@ -180,5 +206,10 @@ FORMAT = Format(
     sniff=lambda head: re.search(f'<{ROOT}[ >]', head) is not None and '<objects>' not in head,
     read=_read,
     write_boxes=_write,
+    variants={
+        'integers': partial(_write, place=_outward, number=_whole),
+        'one-based': partial(_write, place=_from_one),
+        'devkit': partial(_write, place=lambda xyxy: _from_one(_outward(xyxy)), number=_whole),
+    },
     holds=('difficulties', 'file names', 'image suffixes', 'image sizes', 'images without boxes'),
 )

@@ -15,14 +15,13 @@ the names of the class indices, see `class_names`.
 
 The caller passes the width and height of an image with boxes, or they are read from its image file.
 Confidences are written if a score is not 1. Classes that are all indices are written unchanged;
-otherwise they are names, numbered by ``classes.txt``: names already in it keep their number, others
-are added. Hulls, ids and the reference boxes of oriented boxes are not written.
+otherwise they are names, whose numbers the files of `yolo_classes` list. Axis-aligned boxes are cut
+at the border of their image. Hulls, ids and the reference boxes of oriented boxes are not written.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from collections.abc import Iterable
 from collections.abc import Mapping
 from collections.abc import Sequence
 from contextlib import suppress
@@ -36,9 +35,9 @@ import numpy as np
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels import text
 from obbhbb_ros.labels.class_names import find_class_names
-from obbhbb_ros.labels.class_names import listed_names
-from obbhbb_ros.labels.folders import CLASSES_FILE
+from obbhbb_ros.labels.extras import LabelSet
 from obbhbb_ros.labels.folders import target_files
+from obbhbb_ros.labels.image_border import clip_to_image
 from obbhbb_ros.labels.image_files import stored_size
 from obbhbb_ros.labels.image_labels import AnyImage
 from obbhbb_ros.labels.image_labels import ImageBoxes
@@ -48,6 +47,7 @@ from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
+from obbhbb_ros.labels.yolo_classes import number_classes
 from obbhbb_ros.labels.yolo_lines import CORNERS_COUNT
 from obbhbb_ros.labels.yolo_lines import POLYGON_FIELDS
 from obbhbb_ros.labels.yolo_lines import UPRIGHT_FIELDS
@@ -107,7 +107,8 @@ def _read(layout: Layout, file: LabelFile) -> list[ImageLabels]:
     boxes = shapes.enclose(file, file.parse_records(lines, parse)).get(ONE_IMAGE, [])
     if boxes and size is None:
         _stored_size(file, needed=True)
-    return [file.image(file.path.stem, boxes, size)]
+    label_set = LabelSet(class_names=names.names)
+    return [file.image(file.path.stem, boxes, size, label_set=label_set)]
 
 
 def _stored_size(file: LabelFile, needed: bool) -> ImageSize | None:
@@ -123,26 +124,11 @@ def _write(path: Path, images: list[AnyImage]) -> None:
     """Write one file per image, once all of them are turned into lines."""
     targets = target_files(path, images, '.txt')
     folder = path if not targets else targets[0][0].parent
-    names = _numbered_names(folder, [name for image in images for name in image.class_ids])
-    numbers = {name: str(index) for index, name in enumerate(names)}
-    files = [(file, _lines(image, numbers)) for file, image in targets]
-    if names:
-        text.write_lines(folder / CLASSES_FILE, names)
+    classes = number_classes(folder, images)
+    files = [(file, _lines(image, classes.numbers)) for file, image in targets]
+    classes.write()
     for file, lines in files:
         text.write_lines(file, lines)
-
-
-def _numbered_names(folder: Path, used: Iterable[str]) -> list[str]:
-    """List the names for ``classes.txt``, those already in it first; none if all are indices."""
-    distinct = list(dict.fromkeys(used))
-    if all(text.is_index(name) and name == str(int(name)) for name in distinct):
-        return []
-    for name in distinct:
-        if not name or name != name.strip() or name.splitlines() != [name]:
-            raise ValueError(f'class {name!r} cannot be a line of {CLASSES_FILE}')
-    path = folder / CLASSES_FILE
-    listed = listed_names(path) if path.is_file() else ()
-    return [*listed, *(name for name in distinct if name not in listed)]
 
 
 def _lines(image: ImageLabels | ImageBoxes, numbers: Mapping[str, str]) -> list[str]:
@@ -151,6 +137,7 @@ def _lines(image: ImageLabels | ImageBoxes, numbers: Mapping[str, str]) -> list[
     if isinstance(image, ImageLabels):
         boxes = image.corners.reshape(-1, 8)
     else:
+        image = clip_to_image(image).boxes
         low, high = image.xyxy[:, :2], image.xyxy[:, 2:]
         boxes = np.hstack(((low + high) / 2, high - low))
     boxes = boxes / np.tile(np.array(image.size or (1, 1), np.float64), boxes.shape[1] // 2)

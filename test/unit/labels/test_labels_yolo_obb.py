@@ -378,13 +378,14 @@ def test_scores_are_written_if_one_is_not_1(make: Make, tmp_path: Path) -> None:
     assert (tmp_path / 'a.txt').read_text() == f'{BOX} 1.0\n{BOX} 0.5\n'
 
 
-def test_names_are_numbered_by_classes_txt(make: Make, tmp_path: Path) -> None:
+def test_names_are_numbered_by_data_yaml(make: Make, tmp_path: Path) -> None:
     images = [
         make('a', IN_BOX._replace(class_id='ship'), size=SIZE),
         make('b', IN_BOX._replace(class_id='7'), IN_BOX._replace(class_id='ship'), size=SIZE),
     ]
     write_labels(tmp_path, images, 'yolo_obb')
-    assert (tmp_path / 'classes.txt').read_text() == 'ship\n7\n'
+    assert '  0: "7"\n  1: "ship"\n' in (tmp_path / 'data.yaml').read_text()
+    assert not (tmp_path / 'classes.txt').exists()
     read = read_labels(tmp_path, 'yolo_obb', image_size=SIZE)
     assert [each.class_ids for each in read] == [('ship',), ('7', 'ship')]
 
