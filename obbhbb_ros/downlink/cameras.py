@@ -146,6 +146,10 @@ class CameraQueue(Generic[Frame]):
                 return
             yield self.pop()
 
+    def is_over(self, max_bytes: float) -> bool:
+        """Return whether more bytes wait than that, in more than one frame."""
+        return self._bytes > max_bytes and len(self._waiting) > 1
+
     def pop(self) -> Frame:
         """Remove and return the first frame."""
         _, frame, size, _ = self._waiting.popleft()

@@ -58,6 +58,7 @@ class Dropped(str, Enum):
     LARGER_THAN_BURST = 'larger_than_burst'
     FRAME_CHIPS = 'frame_max_chips'
     FRAME_BYTES = 'frame_max_bytes'
+    DEACTIVATED = 'deactivated'
     FAILED = 'failed'
 
 

@@ -8,7 +8,6 @@ No ROS in here: the node, the chip study and the simulation of passes all run th
 from __future__ import annotations
 
 from collections import Counter
-from collections import deque
 from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Sequence
@@ -75,6 +74,8 @@ class FrameCut(Generic[Record]):
         # One assignment decides the fate of a chip: an interrupt cannot come in between.
         self._sending: list[Dropped | None] = [Dropped.FAILED] * len(regions)
         self._recording: list[Dropped | Record] = [Dropped.FAILED] * len(regions)
+        # How many regions `run` has dealt with, and how many of these `take` has returned.
+        self._recorded = self._taken = 0
 
     @property
     def sent(self) -> int:
@@ -88,13 +89,25 @@ class FrameCut(Generic[Record]):
 
     @property
     def records(self) -> list[Record]:
-        """The records of the chips, in the order of the regions."""
-        return [fate for fate in self._recording if not isinstance(fate, Dropped)]
+        """The records of the chips that were not taken, in the order of the regions."""
+        return _records(self._recording[self._taken :])
 
     @property
     def not_recorded(self) -> Counter[str]:
-        """Number of regions without a record, by reason."""
-        return _by_reason(self._recording)
+        """Number of regions without a record that were not taken, by reason."""
+        return _by_reason(self._recording[self._taken :])
+
+    def take(self, rest: bool = False) -> tuple[list[Record], Counter[str]]:
+        """
+        Return records and `not_recorded` of the regions that are through, and forget them.
+
+        With `rest`, also of those that `steps` has not come to.
+        """
+        end = len(self._recording) if rest else self._recorded
+        start, self._taken = self._taken, end
+        taken = self._recording[start:end]
+        self._recording[start:end] = [Dropped.FAILED] * len(taken)
+        return _records(taken), _by_reason(taken)
 
     def close_link(self, reason: Dropped, start: int = 0) -> None:
         """Note why no chip is sent, from the region with index `start` on."""
@@ -114,6 +127,20 @@ class FrameCut(Generic[Record]):
         """
         Cut the regions in order, as long as link or spool want more of them.
 
+        Parameters, and what exceptions do: see `steps`.
+        """
+        for _ in self.steps(cut, link, record):
+            pass
+
+    def steps(
+        self,
+        cut: Callable[[int, Region], EncodedChip | Dropped],
+        link: FrameLink | None = None,
+        record: Callable[[EncodedChip], Record] | None = None,
+    ) -> Iterator[None]:
+        """
+        Cut the regions in order, and yield after each; whoever iterates may pause or stop there.
+
         An exception from the link, even an interrupt, closes the link only; it is raised when all
         chips are recorded. One from `cut` or `record` ends the loop.
 
@@ -128,13 +155,20 @@ class FrameCut(Generic[Record]):
             Returns what the spool stores of a chip. None: there is no spool.
         """
         chips = self._cut_and_record(cut, record)
+        failure = None
         try:
             if link is not None:
-                self._send(chips, link)
-        finally:
-            if record is not None:
-                # The chips that the link did not ask for.
-                deque(chips, maxlen=0)
+                yield from self._send(chips, link)
+        except GeneratorExit:
+            raise
+        except BaseException as error:
+            failure = error
+        if record is not None:
+            # The chips that the link did not ask for.
+            for _ in chips:
+                yield
+        if failure is not None:
+            raise failure
 
     def _cut_and_record(
         self,
@@ -146,15 +180,22 @@ class FrameCut(Generic[Record]):
             chip = cut(index, region)
             if record is not None:
                 self._recording[index] = chip if isinstance(chip, Dropped) else record(chip)
+            self._recorded = index + 1
             yield chip
 
-    def _send(self, chips: Iterator[EncodedChip | Dropped], link: FrameLink) -> None:
-        """Offer chips to the link until it takes no more."""
+    def _send(self, chips: Iterator[EncodedChip | Dropped], link: FrameLink) -> Iterator[None]:
+        """Offer chips to the link until it takes no more, and yield after each."""
         for index, chip in enumerate(chips):
             self._sending[index] = chip if isinstance(chip, Dropped) else link.offer(chip)
             if link.budget.ended_by is not None:
                 self.close_link(link.budget.ended_by, index + 1)
                 return
+            yield
+
+
+def _records(fates: Sequence[Dropped | Record]) -> list[Record]:
+    """Select the records."""
+    return [fate for fate in fates if not isinstance(fate, Dropped)]
 
 
 def _by_reason(fates: Sequence[object]) -> Counter[str]:

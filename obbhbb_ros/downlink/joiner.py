@@ -51,6 +51,7 @@ class Unpaired(str, Enum):
     DUPLICATE = 'duplicate'
     ZERO_STAMP = 'zero_stamp'
     CLEARED = 'deactivated'
+    OVERLOADED = 'overloaded'
 
 
 class Mark(NamedTuple):

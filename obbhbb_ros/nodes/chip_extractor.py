@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,7 @@ from obbhbb_ros.nodes.image_input import image_input
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import TopicInput
 from obbhbb_ros.nodes.node_topics import reliable
+from obbhbb_ros.nodes.parts import steady_timer
 from obbhbb_ros.nodes.spool_report import SpoolReport
 from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.plausibility import frames_text
@@ -72,12 +74,16 @@ _EXPLANATIONS = {
     Unpaired.CROWDED_OUT: 'more than cache.regions plans wait for their images',
     Unpaired.DUPLICATE: 'another message with the same stamp came before',
     Unpaired.ZERO_STAMP: 'its stamp is zero',
+    Unpaired.OVERLOADED: 'frames are cut more slowly than they come, and more than '
+    'cache.max_bytes wait; see crop.max_images',
 }
 _LOST_FOR_GOOD = {
     Dropped.OUTSIDE.value: 'they lie outside the image; was the plan made for another?',
     Dropped.LARGER_THAN_BURST.value: 'they exceed budget.burst, so no pause is long enough',
 }
 _MISTAKES = (Unpaired.DUPLICATE, Unpaired.ZERO_STAMP)
+# How long a frame is cut before the node answers, seconds.
+_SLICE = 0.1
 
 
 @dataclass(frozen=True)
@@ -98,6 +104,20 @@ class PairedFrame(NamedTuple):
     image: AnyImage
     planned: PlannedFrame
     since: float
+
+
+@dataclass
+class FrameInWork:
+    """A frame that is being cut: what is left of it, and what was not sent so far."""
+
+    paired: PairedFrame
+    cut: FrameCut[NewChip]
+    steps: Iterator[None] = field(default_factory=lambda: iter(()))
+
+    def go_on(self, seconds: float) -> bool:
+        """Cut for some time, one region at least; return whether all of them are cut."""
+        end = time.monotonic() + seconds
+        return all(time.monotonic() < end for _ in self.steps)
 
 
 class ChipExtractor(ManagedNode[ChipSettings]):
@@ -140,6 +160,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._sources = StampCache[list[Source]](self._on_sources_dropped)
         self._cameras = CameraMemory[Camera]()
         self._paired = CameraQueue[PairedFrame](self._cameras)
+        self._work: FrameInWork | None = None
+        # It runs while a frame is in work.
+        self._slices = steady_timer(self, 0.0, self._on_slice)
+        self._slices.cancel()
         self._budget = self.parameters.settings.budget
         # The link remembers what was sent while the node is inactive.
         self._bucket = TokenBucket(self._budget, time.monotonic())
@@ -174,7 +198,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._spool_report = SpoolReport(self.reporter, self._spool)
 
     def deactivate(self) -> None:
-        """Drop the images, plans and sources that wait for each other."""
+        """Drop the rest of the frame in work, and what waits."""
+        if self._work is not None:
+            self._work.cut.refuse(Dropped.DEACTIVATED)
+            self._finish(self._work)
         for waiting in (self._images, self._plans, self._sources):
             waiting.clear()
         while self._paired:
@@ -193,7 +220,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         now, _ = self._catch_up()
         facts = {
             'chips_waiting': str(
-                sum(map(len, self._plans.waiting)) + sum(len(each.planned) for each in self._paired)
+                sum(map(len, self._plans.waiting))
+                + sum(len(each.planned) for each in self._paired)
+                + (0 if self._work is None else len(self._work.paired.planned))
             ),
             'images_waiting': str(len(self._images.waiting) + len(self._paired)),
             'budget_available': f'{self._bucket.available(now):.0f}',
@@ -260,8 +289,15 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         for image, planned in self._images.near_pairs(now, limits.slop, limits.max_age):
             self.monitor.add('frames_paired_by_slop')
             self._pair(image, planned, now)
-        for frame in self._paired.ready(now, limits.max_age, limits.max_bytes):
-            self._cut(*frame)
+        while self._work is not None and self._paired.is_over(limits.max_bytes):
+            frame = self._paired.pop()
+            self._on_image_dropped(Unpaired.OVERLOADED, frame.image)
+            self._on_plan_dropped(Unpaired.OVERLOADED, frame.planned)
+        if self._work is None:
+            for frame in self._paired.ready(now, limits.max_age, limits.max_bytes):
+                self._cut(frame)
+                if self._work is not None:
+                    return
 
     def _catch_up(self) -> tuple[float, PairLimits]:
         """Deal with what has waited long enough; return the time and the limits of what waits."""
@@ -324,33 +360,62 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         if count:
             self.monitor.add(f'chips_dropped.{reason}', count)
 
-    def _cut(self, image: AnyImage, planned: PlannedFrame, started: float) -> None:
+    def _cut(self, paired: PairedFrame) -> None:
         """Cut one frame; publish what the budget allows, and store all of it in the spool."""
         self.monitor.add('frames_paired')
-        self._compare_frames(image, 'crop_regions', planned.plan.frame_id)
-        frame = FrameCut[NewChip](planned.plan.regions)
+        self._compare_frames(paired.image, 'crop_regions', paired.planned.plan.frame_id)
+        work = FrameInWork(paired, FrameCut[NewChip](paired.planned.plan.regions))
+        work.steps = self._steps(work.cut, paired.image, paired.planned)
+        self._work = work
+        self._go_on(work)
+        if self._work is not None:
+            self._slices.reset()
+
+    def _on_slice(self) -> None:
+        """Go on with the frame in work, and after it with those that wait."""
+        if self._work is not None:
+            self._go_on(self._work)
+        if self._work is None:
+            self._slices.cancel()
+            self._catch_up()
+
+    def _go_on(self, work: FrameInWork) -> None:
+        """Cut a slice of the frame in work, and store its chips."""
+        is_over = True
         try:
-            self._run(frame, image, planned)
+            is_over = work.go_on(_SLICE)
         except (ChipError, WireError) as error:
             if isinstance(error, WireError):
                 self.monitor.add('messages_unreadable')
-            frame.refuse(Dropped.IMAGE_REFUSED)
+            work.cut.refuse(Dropped.IMAGE_REFUSED)
             self.reporter.warn(
                 'image refused',
                 f'no chips of the image on {self._images_in.topic_name} at stamp '
-                f'{stamp_text(image.stamp)}: {error}',
+                f'{stamp_text(work.paired.image.stamp)}: {error}',
             )
         finally:
             # After an error as well, every chip is accounted for.
-            self.monitor.add('chips_sent', frame.sent)
-            for reason, number in frame.not_sent.items():
-                self._drop(reason, number)
-            self._store(planned, frame.records, frame.not_recorded)
-            self._warn_of_losses(frame.not_sent, image, len(planned))
-        self.monitor.took(time.monotonic() - started)
+            if is_over:
+                self._finish(work)
+            else:
+                self._store(work.paired.planned, *work.cut.take())
+        if is_over:
+            self.monitor.took(time.monotonic() - work.paired.since)
 
-    def _run(self, frame: FrameCut[NewChip], arrived: AnyImage, planned: PlannedFrame) -> None:
-        """Run the loop over the regions of a frame; ValueError if the image cannot be cut."""
+    def _finish(self, work: FrameInWork) -> None:
+        """Account for every chip of the frame in work, and store what is not stored yet."""
+        self._work = None
+        (image, planned, _), frame = work.paired, work.cut
+        self.monitor.add('chips_sent', frame.sent)
+        for reason, number in frame.not_sent.items():
+            self._drop(reason, number)
+        self._store(planned, *frame.take(rest=True))
+        self._warn_of_losses(frame.not_sent, image, len(planned))
+
+    def _steps(
+        self, frame: FrameCut[NewChip], arrived: AnyImage, planned: PlannedFrame
+    ) -> Iterator[None]:
+        """Cut the regions of a frame one by one; ValueError if the image cannot be cut."""
         settings, plan = self._settings(), planned.plan
         sources = self._sources.pop(plan.stamp) or []
         is_wanted = self._chip_topics.wanted()
@@ -373,7 +438,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         if planned.ticket is not None:
             matching = self._matching(plan, sources)
             record = recorder_of(image, plan, matching, codec, camera and camera.facts)
-        frame.run(cutter.cut, link, record)
+        yield from frame.steps(cutter.cut, link, record)
 
     def _camera_of(self, image: WireImage) -> Camera | None:
         """Return the camera of an image, by its stamp or else the latest; None if none fits."""
@@ -430,10 +495,10 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             )
         return []
 
-    def _warn_of_losses(self, dropped: Counter[str], image: AnyImage, count: int) -> None:
+    def _warn_of_losses(self, dropped: Mapping[str, int], image: AnyImage, count: int) -> None:
         """Warn of chips that are not sent, where an operator can do something."""
         for reason, explanation in _LOST_FOR_GOOD.items():
-            if number := dropped[reason]:
+            if number := dropped.get(reason, 0):
                 self.reporter.warn(
                     reason,
                     f'dropped {number} of {count} chips at stamp {stamp_text(image.stamp)}: '
@@ -443,11 +508,14 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     def _store(
         self, planned: PlannedFrame, records: Sequence[NewChip], refused: Mapping[str, int]
     ) -> None:
-        """Store the chips of a frame, if there is a spool."""
+        """Store the chips of a frame, or of a part of it, if there is a spool."""
         if self._spool is None or planned.ticket is None:
             return
         max_bytes = self.parameters.settings.spool_max_bytes
-        is_stored = self._spool.store(planned.ticket, records, refused, max_bytes)
+        part = planned.ticket.part(len(records) + sum(refused.values()))
+        if not part.chips:
+            return
+        is_stored = self._spool.store(part, records, refused, max_bytes)
         self.monitor.add('chips_stored' if is_stored else 'chips_not_stored', len(records))
 
     def _warn_of_failure(

@@ -87,6 +87,16 @@ class Books:
         self.frames[str(number)] = [writer, chips]
         return number
 
+    def take_off_frame(self, number: int, chips: int) -> bool:
+        """Take chips off a frame, and close it after the last; return whether it was in work."""
+        frame = self.frames.get(str(number))
+        if frame is None:
+            return False
+        frame[1] -= chips
+        if frame[1] <= 0:
+            del self.frames[str(number)]
+        return True
+
     def close_frames_of(self, writer: int) -> None:
         """Refuse the frames of a writer that ended before it stored them."""
         ended = [name for name, frame in self.frames.items() if frame[0] == writer]

@@ -43,6 +43,10 @@ class FrameTicket(NamedTuple):
     number: int
     chips: int
 
+    def part(self, chips: int) -> FrameTicket:
+        """Return the ticket for some of its chips, which can be stored before the rest."""
+        return self._replace(chips=chips)
+
 
 class SpoolWriter(SpoolAccess):
     """
@@ -107,7 +111,7 @@ class SpoolWriter(SpoolAccess):
         Parameters
         ----------
         ticket : FrameTicket
-            From `plan`.
+            From `plan`, or a part of it. The frame is in work until all of its chips are stored.
         chips : sequence of NewChip
             Its chips.
         refused : mapping of str to int
@@ -186,10 +190,10 @@ class SpoolWriter(SpoolAccess):
                 )
 
     def _close_frame(self, books: Books, ticket: FrameTicket) -> None:
-        """Close a frame; one that was planned in another catalogue, or in none, is planned here."""
+        """Take chips off their frame; if it was planned in another catalogue, plan them here."""
         if ticket.catalogue != self._catalogue.tag:
             books.count('planned', ticket.chips)
-        elif books.frames.pop(str(ticket.number), None) is None:
+        elif not books.take_off_frame(ticket.number, ticket.chips):
             # Another writer has closed it, as a frame of a process that had ended.
             books.count('refused.interrupted', -ticket.chips)
 

@@ -438,6 +438,25 @@ def test_an_inactive_node_sends_nothing_and_what_waited_is_counted(
     node.wait(lambda: node.chips, 'a chip')
 
 
+def test_a_frame_that_takes_long_is_cut_in_slices_between_which_the_node_answers(
+    start: Callable[..., ChipNode], tmp_path: Any
+) -> None:
+    node = start(**{'codec': 'jpeg2000', 'lossless': True, 'spool.path': str(tmp_path)})
+    node.connect()
+    # Cut in one go, it would take about two minutes.
+    pixels = np.random.default_rng(1).integers(0, 256, (512, 512, 3)).astype(np.uint8)
+    before = node.counts()
+    node.send(pixels, 'rgb8', [(0, 0, 512, 512)] * 1000)
+    node.wait(lambda: node.counts()['spool.waiting'] > 3, 'a part of the frame')
+    assert node.counts()['chips_waiting'] == 1000
+    assert node.change_state(Transition.TRANSITION_DEACTIVATE)
+    changed = node.counts().since(before)
+    cut_off = changed['chips_dropped.deactivated']
+    assert changed['chips_sent'] + cut_off == 1000
+    assert changed['chips_stored'] + changed['spool.refused.deactivated'] == 1000
+    assert node.counts()['spool.in_work'] == 0
+
+
 def side_that_takes(seconds: float) -> int:
     """Find the side of a noisy image that takes some time to encode."""
     noise = np.random.default_rng(1).integers(0, 256, (500, 500, 3)).astype(np.uint8)

@@ -182,6 +182,24 @@ def test_after_an_error_of_the_record_the_rest_has_failed() -> None:
     assert frame.fates == (1, {'failed': 2}, [1], {'failed': 2})
 
 
+@pytest.mark.parametrize('link', [True, False])
+def test_a_frame_can_be_taken_in_parts_and_given_up(link) -> None:
+    frame = Frame(1, Dropped.OUTSIDE, 1, 1)
+    steps = frame.cut.steps(frame.encode, frame.link if link else None, lambda chip: chip.index)
+    next(steps)
+    assert frame.cut.take() == ([0], {})
+    next(steps)
+    next(steps)
+    assert frame.cut.take() == ([2], {'outside_image': 1})
+    steps.close()
+    assert frame.encoded == [0, 1, 2]
+    frame.cut.refuse(Dropped.DEACTIVATED)
+    assert frame.cut.take(rest=True) == ([], {'deactivated': 1})
+    assert frame.cut.take(rest=True) == ([], {})
+    if link:
+        assert (frame.cut.sent, frame.cut.not_sent) == (2, {'outside_image': 1, 'deactivated': 1})
+
+
 CHIP = st.one_of(
     st.integers(1, 1200),
     st.sampled_from([Dropped.OUTSIDE, Dropped.ENCODER]),

@@ -458,6 +458,24 @@ def test_a_frame_that_outlives_the_connection_is_counted_once(spool) -> None:
     assert (status.counts['planned'], status.counts['refused.interrupted']) == (2, 0)
 
 
+@pytest.mark.parametrize('is_interrupted', [True, False])
+def test_a_frame_can_be_stored_in_parts(spool, is_interrupted) -> None:
+    frame = spool.writer.plan(5)
+    assert spool.writer.store(frame.part(2), [new_chip(0.5)], {'encoder_failed': 1})
+    status = counts(spool)
+    assert (status.in_work, status.waiting) == (3, 1)
+    if is_interrupted:
+        spool.writer.close()
+        spool.writer.plan(0)
+        assert counts(spool).counts['refused.interrupted'] == 3
+    # A part that was taken for interrupted counts as what became of it.
+    assert spool.writer.store(frame.part(2), [new_chip(0.5)] * 2, {})
+    assert spool.writer.store(frame.part(1), [new_chip(0.5)], {})
+    status = counts(spool)
+    assert (status.in_work, status.waiting, status.counts['planned']) == (0, 4, 5)
+    assert not status.counts.get('refused.interrupted')
+
+
 # What cannot be written down
 
 
