@@ -23,6 +23,7 @@ from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.geometry.converter import convert_with_diagnostics
+from obbhbb_ros.labels import map_images
 from obbhbb_ros.labels import maps
 from obbhbb_ros.labels import parquet
 from obbhbb_ros.labels.formats import box_format
@@ -252,12 +253,15 @@ def convert_file(
     ------
     ValueError
         If a format is unknown or cannot be detected, the target format cannot hold the boxes, or
-        an image size that it needs is not known.
+        an image size that it needs is not known; if it is in pixels, the labels in a map, and no
+        image lies there, or the caps are in metres.
     OSError
         If a file cannot be read or written.
     """
     target_labels = box_format(target, target_format, diagnostics)
     write = target_labels.box_writer(variant)
+    if metres and target_labels.in_pixels:
+        raise ValueError(f'{target_labels.name} is in pixels: give the caps in pixels, not metres')
     source_labels = find_labels(source, source_format)
     malformed: list[LabelError] = []
 
@@ -272,6 +276,8 @@ def convert_file(
         if tally is not None:
             return replace(tally, malformed=len(malformed))
     labels = source_labels.read(image_size, skip)
+    if target_labels.in_pixels:
+        labels = map_images.on_images(labels)
     total = len(source_labels.files) if source.is_dir() else None
     convert = partial(
         convert_image, rule=rule, caps=caps, diagnostics=diagnostics, bow=bow, metres=metres

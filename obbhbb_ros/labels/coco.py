@@ -249,4 +249,5 @@ FORMAT = Format(
     variants={'rectangles': partial(_write_boxes, rectangles=True)},
     holds=set(PARTS) - {'file names', 'reference system'},
     reserved=MEMBERS,
+    in_pixels=True,
 )

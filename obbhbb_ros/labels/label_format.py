@@ -55,6 +55,8 @@ class Format:
         '' if it does not. It then holds for all files of a folder.
     needs_sizes : bool
         Whether images with boxes cannot be written without their size, at which boxes are cut.
+    in_pixels : bool
+        Whether what is written is in the pixels of an image, and nowhere else.
     spread : bool
         Whether the boxes of an image may be in several files.
     """
@@ -71,6 +73,7 @@ class Format:
     reserved: Collection[str] = ()
     problem: Callable[[str], str] = lambda _: ''
     needs_sizes: bool = False
+    in_pixels: bool = False
     spread: bool = False
 
     def box_writer(self, variant: str | None) -> BoxWriter:

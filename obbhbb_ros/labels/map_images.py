@@ -11,6 +11,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable
 from collections.abc import Iterator
+from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -51,6 +52,24 @@ def on_images(images: Iterable[ImageLabels]) -> Iterator[ImageLabels]:
                 'name is beside them'
             )
         yield in_pixels(labels, image)
+
+
+def in_one_system(
+    images: Sequence[ImageLabels], others: Sequence[ImageLabels]
+) -> tuple[Sequence[ImageLabels], Sequence[ImageLabels]]:
+    """
+    Turn two sets of labels into pixels of the images beside them, if their systems differ.
+
+    Without an image, coordinates of no named system, as CSV has them, are taken as those of the
+    other labels; two named systems are refused as `on_images` does.
+    """
+    everything = [*images, *others]
+    systems = {labels.extras.label_set.crs for labels in everything}
+    in_map = [labels for labels in everything if labels.extras.label_set.crs]
+    alone = None in find_images(in_map) and len(systems - {''}) == 1
+    if len(systems) < 2 or alone:
+        return images, others
+    return list(on_images(images)), list(on_images(others))
 
 
 def in_pixels(labels: ImageLabels, image: Path) -> ImageLabels:

@@ -212,4 +212,5 @@ FORMAT = Format(
         'devkit': partial(_write, place=lambda xyxy: _from_one(_outward(xyxy)), number=_whole),
     },
     holds=('difficulties', 'file names', 'image suffixes', 'image sizes', 'images without boxes'),
+    in_pixels=True,
 )

@@ -186,6 +186,7 @@ UPRIGHT = Format(
     read=partial(_read, UPRIGHT_LAYOUT),
     write_boxes=_write,
     needs_sizes=True,
+    in_pixels=True,
     holds=('scores', 'images without boxes'),
 )
 ORIENTED = Format(

@@ -19,6 +19,7 @@ from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import OnError
+from obbhbb_ros.labels import map_images
 from obbhbb_ros.labels import maps
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.image_labels import BOW_SOURCES
@@ -191,7 +192,9 @@ def read_ships(
         Format of `paths`; by default it is detected.
     reference : path-like, optional
         Labels with the reference boxes, matched by image and best overlap, see
-        `obbhbb_ros.study.matching.match_references`. By default those in `paths`.
+        `obbhbb_ros.study.matching.match_references`. By default those in `paths`. Labels in
+        different reference systems, or in a map and in pixels, meet in the pixels of the GeoTIFF
+        beside them.
     image_size : tuple of int, optional
         Width and height of every image, pixels, for normalised formats.
     bow : str
@@ -211,7 +214,8 @@ def read_ships(
 
     images = tuple(labels for path in paths for labels in read(path, format))
     if reference is not None:
-        images = match_references(images, read(reference))
+        pair = map_images.in_one_system(images, list(read(reference)))
+        images = match_references(*pair)
     return Ships.from_labels(images, bow)
 
 

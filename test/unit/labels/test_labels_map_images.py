@@ -14,9 +14,12 @@ import pytest
 from obbhbb_ros.cli import main
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.labels.axis_aligned import convert_file
 from obbhbb_ros.labels.map_images import in_pixels
 from obbhbb_ros.labels.map_images import load_map_image
+from obbhbb_ros.study.ships import read_ships
 
 rasterio = pytest.importorskip('rasterio', reason='GeoTIFF needs the extra `geo`')
 pyproj = pytest.importorskip('pyproj', reason='GeoTIFF needs the extra `geo`')
@@ -216,3 +219,77 @@ def test_labels_of_a_map_without_its_name_are_refused_with_the_remedy(
     path = put_labels(tmp_path / 'a.geojson', placed(SHIPS), None)
     assert main(['chips', str(path)]) == 1
     assert 'name no reference system: give them one' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('target', ['coco', 'voc', 'yolo'])
+@pytest.mark.parametrize('crs', [UTM, 'EPSG:4326'])
+def test_formats_in_pixels_get_the_boxes_of_the_image(
+    tmp_path: Path, target: str, crs: str
+) -> None:
+    place = tmp_path / 'in'
+    place.mkdir()
+    put_image(place / 'a.tif', TURNED)
+    path = put_labels(place / 'a.geojson', moved(placed(SHIPS, TURNED), crs), crs)
+    out = tmp_path / ('out.json' if target == 'coco' else 'out')
+    tally = convert_file(
+        path, out, HullRule('outer'), target_format=target, source_format='geojson', report=print
+    )
+    assert 'reference system' not in tally.losses
+    (written,) = read_labels(out, target, image_size=(WIDTH, HEIGHT))
+    expected = np.hstack((SHIPS.min(axis=1), SHIPS.max(axis=1)))
+    np.testing.assert_allclose(written.reference, expected, atol=0.01)
+
+
+@pytest.mark.parametrize('target', ['coco', 'voc', 'yolo'])
+def test_formats_in_pixels_refuse_a_map_without_an_image(tmp_path: Path, target: str) -> None:
+    path = put_labels(tmp_path / 'a.geojson', placed(SHIPS))
+    out = tmp_path / 'out'
+    with pytest.raises(ValueError, match=r'EPSG:32633.*pixels are needed: no GeoTIFF'):
+        convert_file(path, out, HullRule(), target_format=target, report=print)
+    with pytest.raises(ValueError, match='give the caps in pixels'):
+        convert_file(path, out, HullRule(), target_format=target, report=print, metres=True)
+    assert not out.exists()
+
+
+def put_pair(folder: Path, crs: str | None) -> tuple[Path, Path]:
+    """Write labels, and reference boxes in pixels, for one image."""
+    put_image(folder / 'a.tif', TURNED)
+    rings = SHIPS if crs is None else moved(placed(SHIPS, TURNED), crs)
+    path = put_labels(folder / 'a.geojson', rings, crs)
+    lines = [
+        f'a,ship,{",".join(map(str, box))}'
+        for box in np.hstack((SHIPS.min(axis=1) + 1.0, SHIPS.max(axis=1) - 1.0)).tolist()
+    ]
+    reference = folder / 'boxes.csv'
+    reference.write_text('\n'.join(['image,class,x_min,y_min,x_max,y_max', *lines]))
+    return path, reference
+
+
+@pytest.mark.parametrize('crs', [UTM, 'EPSG:4326'])
+def test_labels_in_a_map_and_references_in_pixels_meet_on_the_image(
+    tmp_path: Path, crs: str
+) -> None:
+    folders = tmp_path / 'map', tmp_path / 'pixels'
+    for folder, system in zip(folders, (crs, None), strict=True):
+        folder.mkdir()
+        put_pair(folder, system)
+    ships, same = (
+        read_ships([folder / 'a.geojson'], reference=folder / 'boxes.csv') for folder in folders
+    )
+    np.testing.assert_allclose(ships.boxes.corners, same.boxes.corners, atol=1e-3)
+    np.testing.assert_allclose(ships.reference, same.reference)
+    assert ships.with_reference.all()
+
+
+def test_labels_in_two_systems_without_an_image_are_refused(tmp_path: Path) -> None:
+    path = put_labels(tmp_path / 'a.geojson', placed(SHIPS))
+    reference = put_labels(tmp_path / 'b.geojson', moved(placed(SHIPS), 'EPSG:32634'), 'EPSG:32634')
+    with pytest.raises(ValueError, match='no GeoTIFF of that name'):
+        read_ships([path], reference=reference)
+
+
+def test_references_of_no_named_system_are_in_that_of_the_labels(tmp_path: Path) -> None:
+    path = put_labels(tmp_path / 'a.geojson', placed(SHIPS))
+    reference = tmp_path / 'boxes.csv'
+    convert_file(path, reference, HullRule(), report=print)
+    assert read_ships([path], reference=reference).with_reference.all()
