@@ -261,8 +261,10 @@ def _select(
 ) -> _Selection:
     """Select the boxes that get a region; `bounds` are width, height twice, (4, 1)."""
     selection = _Selection(xyxy)
-    # NaN passes through the maximum and compares as false.
-    if not np.maximum.reduce(np.abs(selection.boxes), axis=None, initial=0.0) < _FARTHEST:
+    # NaN passes through the maximum and compares as false; NumPy warns of signalling ones.
+    with np.errstate(invalid='ignore'):
+        farthest = np.maximum.reduce(np.abs(selection.boxes), axis=None, initial=0.0)
+    if not farthest < _FARTHEST:
         selection.keep(np.isfinite(selection.boxes).all(axis=0), LeftOut.INVALID)
         # Farther out a double does not resolve a pixel; within, no difference overflows.
         selection.boxes = np.clip(selection.boxes, -_FARTHEST, _FARTHEST)

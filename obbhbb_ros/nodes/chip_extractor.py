@@ -82,6 +82,8 @@ _LOST_FOR_GOOD = {
     Dropped.LARGER_THAN_BURST.value: 'they exceed budget.burst, so no pause is long enough',
 }
 _MISTAKES = (Unpaired.DUPLICATE, Unpaired.ZERO_STAMP)
+# What the frame_id and the camera of an image may take in each of its chips, bytes.
+_MAX_REPEATED = 10_000
 # How long a frame is cut before the node answers, seconds.
 _SLICE = 0.1
 
@@ -427,11 +429,16 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             # Nobody wants its pixels.
             return
         image = decoded(arrived)
+        _require_little_to_repeat('frame_id', len(image.frame_id.encode()))
         codec, develop = settings.codec.codec, settings.codec.develop
         layout = pixel_format(image.encoding, codec, develop)
         warn = partial(self._warn_of_failure, image, codec)
         cutter = ChipCutter(view_of(image, develop), layout, settings.codec, warn)
         camera = self._camera_of(image)
+        if camera is not None:
+            facts = camera.facts
+            size = 8 * len(facts.d) + len((facts.model + facts.frame_id).encode())
+            _require_little_to_repeat('camera_info', size)
         message = sized(image) if camera is None else camera.message
         link = self._link(image, plan, message, settings) if is_wanted else None
         record = None
@@ -533,3 +540,11 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         """Report trouble with the spool."""
         self.monitor.add('spool_troubles')
         self.reporter.warn(kind_of(text), f'spool: {text}')
+
+
+def _require_little_to_repeat(what: str, size: int) -> None:
+    """Raise ChipError if something that each chip of an image repeats takes too many bytes."""
+    if size > _MAX_REPEATED:
+        raise ChipError(
+            f'{what} has {size} bytes, which each chip would repeat; at most {_MAX_REPEATED} can be'
+        )

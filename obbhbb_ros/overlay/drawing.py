@@ -220,11 +220,12 @@ def picture_of(image: WireImage, scale: float = 1.0) -> Any:
     else:
         pixels = _shown(view, image.encoding)
         mode = 'L' if pixels.shape[2] == 1 else 'RGB'
-        picture = Image.frombytes(mode, size, np.ascontiguousarray(pixels)).convert('RGB')
+        picture = Image.frombytes(mode, size, np.ascontiguousarray(pixels))
     if scale != 1.0:
         scaled = [max(1, round(side * scale)) for side in size]
         picture = picture.resize(scaled, Image.Resampling.BOX, reducing_gap=1.0)
-    return picture
+    # Only now: in full size colours would take three times the memory of grey.
+    return picture.convert('RGB')
 
 
 def _shown(view: ImageView, encoding: str) -> NDArray[np.uint8]:

@@ -303,15 +303,16 @@ class Detections:
         if (counts == 1).all():
             return classes_at, all_scores
         best_at, best = np.zeros(len(self), np.int64), np.full(len(self), nan)
-        for number in range(counts.max(initial=0)):
-            rows = np.flatnonzero(counts > number)
-            hypotheses = firsts[rows] + number
-            scores = all_scores[hypotheses]
-            # NaN is less than any number.
-            is_better = (scores > best[rows]) | (np.isnan(best[rows]) & ~np.isnan(scores))
-            is_better |= number == 0
-            best_at[rows[is_better]] = classes_at[hypotheses[is_better]]
-            best[rows[is_better]] = scores[is_better]
+        (rows,) = counts.nonzero()
+        if len(rows):
+            # NaN is less than any number. NumPy warns of signalling ones.
+            with np.errstate(invalid='ignore'):
+                highest = np.fmax.reduceat(all_scores, firsts[rows])
+            numbers = np.arange(len(all_scores))
+            is_highest = all_scores == np.repeat(highest, counts[rows])
+            chosen = np.minimum.reduceat(np.where(is_highest, numbers, len(numbers)), firsts[rows])
+            chosen = np.where(chosen < len(numbers), chosen, firsts[rows])
+            best_at[rows], best[rows] = classes_at[chosen], all_scores[chosen]
         return best_at, best
 
     @cached_property

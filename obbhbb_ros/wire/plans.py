@@ -69,8 +69,10 @@ class WirePlan:
         self._detections = detections = Detections(data)
         self.stamp, self.frame_id = detections.stamp, detections.frame_id
         xywhr = detections.xywhr()
-        center, half = xywhr[:, :2], xywhr[:, 2:4] / 2.0
-        corners = np.hstack((np.floor(center - half), np.ceil(center + half)))
+        # NumPy warns of what is not finite.
+        with np.errstate(invalid='ignore', over='ignore'):
+            center, half = xywhr[:, :2], xywhr[:, 2:4] / 2.0
+            corners = np.hstack((np.floor(center - half), np.ceil(center + half)))
         corners[~np.isfinite(corners).all(axis=1)] = 0.0
         rows = np.clip(corners, -_MAX_COORDINATE, _MAX_COORDINATE).astype(np.int64).tolist()
         self.regions = [(x0, y0, x1, y1) for x0, y0, x1, y1 in rows]

@@ -457,6 +457,18 @@ def test_a_frame_that_takes_long_is_cut_in_slices_between_which_the_node_answers
     assert node.counts()['spool.in_work'] == 0
 
 
+def test_what_each_chip_repeats_is_short(node: ChipNode) -> None:
+    before = node.counts()
+    header = node.stamp()
+    header.frame_id = 'c' * 200_000
+    node.images.publish(image_message('mono8', np.zeros((8, 8), np.uint8), header))
+    node.send_plan([(0, 0, 4, 4)] * 2, header)
+    node.wait(
+        lambda: node.counts().since(before).get('chips_dropped.image_refused') == 2, 'refused chips'
+    )
+    assert node.chips == []
+
+
 def side_that_takes(seconds: float) -> int:
     """Find the side of a noisy image that takes some time to encode."""
     noise = np.random.default_rng(1).integers(0, 256, (500, 500, 3)).astype(np.uint8)

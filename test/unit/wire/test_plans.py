@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Crop plans and their sources, in their bytes."""
 
+import struct
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,8 @@ from cdr import encode
 from hypothesis import given
 from hypothesis import strategies as st
 
+from obbhbb_ros.downlink.crops import CropSettings
+from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.pipeline import Batch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.wire.buffer import WireError
@@ -59,6 +62,17 @@ def best_of(results):
 )
 def test_regions_are_whole_pixels(box, region) -> None:
     assert plan_of(Detection(bbox=box)).regions == [region]
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('box', [(INF, 0, 0, INF, 1), (1e308, 0, 0, -1.7e308, 1), (7, 7, 7, 7, 7)])
+def test_no_box_makes_numpy_warn(box) -> None:
+    data = encode(Message(detections=(Detection(bbox=tuple(map(float, box))),)))
+    # A signalling NaN in place of seven.
+    signalling = data.replace(struct.pack('<d', 7.0), bytes.fromhex('010000000000f47f'))
+    assert WirePlan(signalling).regions[0][:2] in [(0, 0), (2**52, -1)]
+    boxes = Detections(signalling).xywhr()[:, :4]
+    assert len(plan_crops(boxes, np.ones(1), (640, 480), CropSettings()).regions) in (0, 1)
 
 
 @ORDERS
