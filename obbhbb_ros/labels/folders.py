@@ -23,6 +23,10 @@ NO_FOLDERS = re.compile(r'\.|(images|JPEGImages|ImageSets|Segmentation\w+)$')
 NO_LABELS = re.compile(
     rf'\.|({re.escape(CLASSES_FILE)}|labelmap\.txt|notes\.json)$|(readme|license)\b', re.IGNORECASE
 )
+# Beside the instances of COCO, files of the same images and boxes.
+OF_INSTANCES = re.compile(
+    r'(?:captions|image_info|labels|panoptic|person_keypoints|stuff)(_.+\.json)'
+)
 MAX_DEPTH = 3
 LIST_BYTES = 4096
 
@@ -35,8 +39,9 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
     sub-folders: the root of a data set as tools export it, whose ``labels``, ``labelTxt``,
     ``Annotations`` or ``obj_train_data`` are read where there is one of them. Suffixes are in lower
     case. Hidden files, lists of classes, read-me files and, in a root, lists of images are not
-    label files. Raises FileNotFoundError if there is no such path, ValueError for a pipe or a
-    device, and LabelError if a folder holds no label file, or a root more than one folder of them.
+    label files; nor are, beside the ``instances`` of COCO, ``stuff`` and others of the same images.
+    Raises FileNotFoundError if there is no such path, ValueError for a pipe or a device, and
+    LabelError if a folder holds no label file, or a root more than one folder of them.
     """
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, 'no such label file or folder', str(path))
@@ -83,11 +88,18 @@ def _files_of_tree(folder: Path, suffixes: Collection[str], depth: int) -> list[
 
 
 def _files_among(entries: Iterable[Path], suffixes: Collection[str]) -> list[Path]:
-    return [
+    files = [
         entry
         for entry in entries
         if entry.suffix.lower() in suffixes and entry.is_file() and not NO_LABELS.match(entry.name)
     ]
+    names = {file.name for file in files}
+    return [file for file in files if _instances_of(file.name) not in names]
+
+
+def _instances_of(name: str) -> str | None:
+    match = OF_INSTANCES.fullmatch(name)
+    return match and f'instances{match[1]}'
 
 
 def _is_list_of_images(file: Path) -> bool:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -248,3 +249,25 @@ def test_an_error_that_on_error_raises_again_is_reported_once(
     with pytest.raises(LabelError) as caught:
         list(read_labels(put(name, text), format_name, on_error=keep_and_raise))
     assert errors == [caught.value]
+
+
+COCO_OF_TWO_IMAGES = json.dumps(
+    {
+        'images': [{'id': 1, 'file_name': 'a.png'}, {'id': 2, 'file_name': 'b.png'}],
+        'categories': [{'id': 1, 'name': 'ship'}],
+        'annotations': [{'id': 1, 'image_id': 1, 'category_id': 1, 'bbox': [1, 2, 3, 4]}],
+    }
+)
+
+
+@pytest.mark.parametrize('other', ['stuff', 'person_keypoints', 'image_info'])
+def test_coco_files_of_the_same_images_are_read_once(put: Put, tmp_path: Path, other: str) -> None:
+    put('annotations/instances_train.json', COCO_OF_TWO_IMAGES)
+    put(f'annotations/{other}_train.json', COCO_OF_TWO_IMAGES)
+    assert [labels.image for labels in read_labels(tmp_path)] == ['a.png', 'b.png']
+
+
+def test_coco_files_without_instances_of_the_same_part_are_read(put: Put, tmp_path: Path) -> None:
+    put('annotations/instances_train.json', COCO_OF_TWO_IMAGES)
+    put('annotations/stuff_val.json', COCO_OF_TWO_IMAGES)
+    assert len(list(read_labels(tmp_path))) == 4
