@@ -32,6 +32,8 @@ from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.image_marker import line_list
 
 _NOWHERE = np.empty((0, 4, 2))
+# A thousand boxes take a sixth of a second, and nobody can tell so many apart.
+_MAX_DRAWN = 2000
 _NUMBERS = {layer: number for number, layer in enumerate(LAYER_COLORS)}
 
 
@@ -87,9 +89,9 @@ class OverlayFrame:
 
     @property
     def boxes_not_drawn(self) -> int:
-        """Number of boxes that are not finite, or empty."""
+        """Number of boxes that are not finite, or empty, or more than a picture shows."""
         return sum(
-            int(np.isnan(corners).any(axis=(1, 2)).sum()) for corners in self._corners.values()
+            int(np.isnan(corners).any(axis=(1, 2)).sum()) for corners in self._drawn.values()
         )
 
     def picture(self) -> Picture:
@@ -101,7 +103,7 @@ class OverlayFrame:
         obbhbb_ros.overlay.drawing.OverlayError
             If the image cannot be drawn on.
         """
-        layers = [self._layer(layer) for layer in self._corners]
+        layers = [self._layer(layer) for layer in self._drawn]
         return draw(self.image, layers, self._labels(), self._settings.style)
 
     def annotations(self) -> Annotations:
@@ -133,11 +135,23 @@ class OverlayFrame:
             corners[layer] = np.where(boxes.valid[:, None, None], boxes.corners, np.nan)
         return corners
 
+    @cached_property
+    def _drawn(self) -> dict[str, FloatArray]:
+        """The same, of the 2000 boxes with the best scores in each layer, NaN for the others."""
+        drawn = dict(self._corners)
+        for layer, corners in self._corners.items():
+            if len(corners) > _MAX_DRAWN:
+                # NaN comes last.
+                order = np.argsort(-self._layers[layer].scores(), kind='stable')
+                drawn[layer] = corners.copy()
+                drawn[layer][order[_MAX_DRAWN:]] = np.nan
+        return drawn
+
     def _layer(self, layer: str) -> Layer:
         """Say how a layer is drawn."""
         return Layer(
             self._settings.colors[layer],
-            self._corners.get(layer, _NOWHERE),
+            self._drawn.get(layer, _NOWHERE),
             title=layer.replace('_', ' '),
             dashed=layer in DASHED_LAYERS,
         )
@@ -149,5 +163,5 @@ class OverlayFrame:
                 detections = self._layers[layer]
                 scores = detections.scores()
                 texts = list(map(label_text, detections.class_ids(), scores.tolist()))
-                return Labels(self._settings.colors[layer], self._corners[layer], texts, scores)
+                return Labels(self._settings.colors[layer], self._drawn[layer], texts, scores)
         return None
