@@ -65,6 +65,8 @@ class LabelTally:
         Boxes whose corners were not in order around them.
     cut : int
         Boxes that end at the border of their image, as they do not in the labels.
+    in_degrees : int
+        Boxes in degrees, which were computed in metres on the ground.
     losses : str
         What the labels say and the format that is written cannot hold; '' for nothing.
     """
@@ -76,6 +78,7 @@ class LabelTally:
     bows: int | None = None
     reordered: int = 0
     cut: int = 0
+    in_degrees: int = 0
     losses: str = ''
 
     @property
@@ -98,6 +101,7 @@ class LabelTally:
             f'{self.malformed} malformed records skipped'
             f'{f", {self.reordered} with crossed corners put in order" if self.reordered else ""}'
             f'{f", {self.cut} cut at the border of the image" if self.cut else ""}'
+            f'{f", {self.in_degrees} in degrees computed in metres" if self.in_degrees else ""}'
             f'{f"{chr(10)}not held by {self.losses}" if self.losses else ""}'
         )
 
@@ -192,9 +196,10 @@ def convert_labels(
     """
     done: list[ImageBoxes] = []
     reasons: Counter[str] = Counter()
-    bows = reordered = 0
+    bows = reordered = in_degrees = 0
     for labels in images:
         converted = convert(labels)
+        in_degrees += labels.extras.label_set.in_degrees * len(converted.boxes.class_ids)
         done.append(converted.boxes)
         bows += converted.bows
         reordered += converted.reordered
@@ -202,7 +207,8 @@ def convert_labels(
         for row, reason in converted.left_out.items():
             report(f'{labels.source}: image {labels.image!r}: box {row + 1} left out: {reason}')
     boxes = sum(len(image.class_ids) for image in done)
-    return done, LabelTally(len(done), boxes, dict(reasons), 0, bows, reordered)
+    tally = LabelTally(len(done), boxes, dict(reasons), 0, bows, reordered, in_degrees=in_degrees)
+    return done, tally
 
 
 def convert_file(
@@ -333,7 +339,7 @@ def _clipped(
 def _losses(target: Format, images: Iterable[ImageBoxes], image_size: ImageSize | None) -> str:
     # A size that the caller passes is not one of the labels.
     holds = {*target.holds, *(('image sizes',) if image_size else ())}
-    count = LossCount(holds, target.reserved)
+    count = LossCount(holds, target.reserved, target.longest_name)
     for image in images:
         count.add(image)
     return f'{target.name}: {count}' if str(count) else ''

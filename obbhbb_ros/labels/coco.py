@@ -62,6 +62,9 @@ from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
 from obbhbb_ros.labels.losses import PARTS
 
+LISTS = ('images', 'annotations', 'categories')
+# Members that are read; those of annotations are all kept.
+KNOWN = {'images': ('id', 'file_name', 'width', 'height'), 'categories': ('id', 'name')}
 # What begins a file of COCO, one of them at least: Datumaro has an object of categories.
 PATHS = {'{images[', '{annotations[{image_id', '{categories[', '{licenses['}
 
@@ -74,7 +77,7 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
     if 'categories' in document:
         categories = _by_id(file, 'categories', document['categories'], _category)
     reader = coco_annotations.AnnotationReader(file, images, categories, document['annotations'])
-    label_set = LabelSet(_ids_by_name(categories or {}))
+    label_set = LabelSet(_ids_by_name(categories or {}), others=_others(document))
     for (key, (name, size)), labels in zip(images.items(), reader.images(), strict=True):
         yield replace(
             labels,
@@ -87,10 +90,21 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
 def _check_lists(file: LabelFile, document: Any) -> None:
     if not isinstance(document, dict):
         raise file.error('not COCO: not a JSON object')
-    for name in ('images', 'annotations', 'categories'):
+    for name in LISTS:
         optional = name == 'categories' and name not in document
         if not optional and not isinstance(document.get(name), list):
             raise file.error(f'not COCO: no array {name!r}')
+
+
+def _others(document: dict[str, Any]) -> tuple[str, ...]:
+    """Return the names of members that are not read and not empty."""
+    names = [name for name, value in document.items() if value and name not in LISTS]
+    for part, known in KNOWN.items():
+        records = (record for record in document.get(part, ()) if isinstance(record, dict))
+        members = (item for record in records for item in record.items())
+        lost = dict.fromkeys(name for name, value in members if value and name not in known)
+        names += [f'{part}.{name}' for name in lost]
+    return tuple(names)
 
 
 def _by_id(

@@ -37,12 +37,15 @@ class LabelSet:
         `obbhbb_ros.labels.degrees`.
     class_names : tuple of str
         The names of class numbers, '' for a number without one, where the format has numbers.
+    others : tuple of str
+        Names of what the file says besides, and which no format holds.
     """
 
     categories: Mapping[str, Id] = field(default_factory=dict)
     crs: str = ''
     in_degrees: bool = False
     class_names: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
 
 
 NO_SET = LabelSet()

@@ -50,6 +50,8 @@ class Format:
         What `write_boxes` writes besides boxes and classes.
     reserved : collection of str
         Names, in lower case, that a property cannot have, since the format has them itself.
+    longest_name : int or None
+        How many bytes of the name of a property it holds; None for all.
     problem : callable
         ``problem(head)`` says why the beginning of a file, though it may fit, means something else;
         '' if it does not. It then holds for all files of a folder.
@@ -71,6 +73,7 @@ class Format:
     variants: Mapping[str, BoxWriter] = field(default_factory=dict)
     holds: Collection[Part] = ()
     reserved: Collection[str] = ()
+    longest_name: int | None = None
     problem: Callable[[str], str] = lambda _: ''
     needs_sizes: bool = False
     in_pixels: bool = False

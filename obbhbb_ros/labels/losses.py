@@ -33,7 +33,7 @@ Part: TypeAlias = Literal[
 """What a format may hold besides boxes and classes."""
 
 PARTS: tuple[Part, ...] = get_args(Part)
-SINGULARS: dict[Part, str] = {
+SINGULARS: dict[str, str] = {
     'difficulties': 'difficulty',
     'properties': 'property',
     'image suffixes': 'image suffix',
@@ -51,10 +51,20 @@ class LossCount:
         What the format holds.
     reserved : collection of str
         Names of its own fields, in lower case, which no property can have.
+    longest_name : int or None
+        How many bytes of the name of a property it holds; None for all.
     """
 
-    def __init__(self, holds: Collection[Part], reserved: Collection[str] = ()) -> None:
+    def __init__(
+        self,
+        holds: Collection[Part],
+        reserved: Collection[str] = (),
+        longest_name: int | None = None,
+    ) -> None:
         self._holds = holds
+        self._longest_name = longest_name
+        self._long_names: dict[str, None] = {}
+        self._others: dict[str, None] = {}
         self._reserved = reserved
         self._counts: Counter[Part] = Counter()
         self._properties: dict[str, None] = {}
@@ -66,7 +76,10 @@ class LossCount:
     def add(self, image: ImageBoxes) -> None:
         """Count what the format loses of an image."""
         extras = image.extras
-        self._properties.update(dict.fromkeys(self._lost_properties(image)))
+        lost = self._lost_properties(image)
+        self._properties.update(dict.fromkeys(lost))
+        self._long_names.update(dict.fromkeys(self._shortened(image, lost)))
+        self._others.update(dict.fromkeys(extras.label_set.others))
         self._image_ids.add(extras.image_id)
         self._images += 1
         self._categories.update(dict.fromkeys(extras.label_set.categories.items()))
@@ -81,12 +94,24 @@ class LossCount:
         taken = {*self._reserved, *(DIAGNOSTICS if image.diagnostics is not None else ())}
         return [name for name in names if name.lower() in taken]
 
+    def _shortened(self, image: ImageBoxes, lost: Collection[str]) -> list[str]:
+        if self._longest_name is None:
+            return []
+        names = (name for name in image.extras.properties if name not in lost)
+        return [name for name in names if len(name.encode()) > self._longest_name]
+
     def __str__(self) -> str:
         """List the losses: ``12 scores, 2 properties (mmsi, time)``; '' if there are none."""
         texts = [_counted(self._counts[part], part) for part in PARTS if self._loses(part)]
         if self._properties:
             number = _counted(len(self._properties), 'properties')
             texts.append(f'{number} ({_some(self._properties)})')
+        if self._long_names:
+            number = _counted(len(self._long_names), 'long names')
+            texts.append(f'{number} ({_some(self._long_names)})')
+        if self._others:
+            number = _counted(len(self._others), 'other members')
+            texts.append(f'{number} ({_some(self._others)})')
         if self._loses_categories():
             names = dict.fromkeys(name for name, _ in self._categories)
             texts.append(f'{_counted(len(names), "category ids")} ({_some(names)})')
@@ -124,7 +149,7 @@ def _counts(image: ImageBoxes) -> dict[Part, int]:
     }
 
 
-def _counted(number: int, part: Part) -> str:
+def _counted(number: int, part: str) -> str:
     singular = SINGULARS.get(part, part.removesuffix('s'))
     return f'{number} {singular if number == 1 else part}'
 

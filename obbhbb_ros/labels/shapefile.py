@@ -23,6 +23,7 @@ DRIVER = 'ESRI Shapefile'
 STALE = ('.qix', '.sbn', '.sbx', '.prj', '.qpj')
 FILE_CODE = '\x00\x00\x27\x0a'
 MAX_TEXT_BYTES = 254
+MAX_NAME_BYTES = 10
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
@@ -48,4 +49,5 @@ FORMAT = Format(
     write_boxes=_write_boxes,
     holds=shapes.FEATURES_HOLD,
     reserved=vector_files.RESERVED,
+    longest_name=MAX_NAME_BYTES,
 )

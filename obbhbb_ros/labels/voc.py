@@ -75,6 +75,8 @@ CORNERS = (
 DRAWN = ('robndbox', 'rotated_bndbox', 'polygon')
 # Names of an angle whose meaning differs from tool to tool.
 ANGLES = ('angle', 'rotation', 'theta')
+MEMBERS = ('pose', 'truncated', 'occluded')
+UNSAID = ('', '0', 'unspecified')
 IMAGE = ''
 NOT_IN_XML = re.compile('[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]')
 
@@ -115,7 +117,8 @@ def _parse(long_edge: bool, element: Element) -> shapes.Outlined:
     else:
         rings = [shapes.ring_of_pairs(numbers_of(drawn, _points(len(drawn) // 2)))]
     difficulty = parse_difficulty(text_of(element, 'difficult'))
-    box = Box(corners, name, reference=reference, difficulty=difficulty, properties=attributes)
+    properties = {**_members(element), **attributes}
+    box = Box(corners, name, reference=reference, difficulty=difficulty, properties=properties)
     return shapes.Outlined(IMAGE, box, rings)
 
 
@@ -135,6 +138,12 @@ def _points(count: int) -> list[str]:
 def _attributes(element: Element) -> dict[str, str]:
     attributes = element.iterfind('attributes/attribute')
     return {text_of(attribute, 'name'): text_of(attribute, 'value') for attribute in attributes}
+
+
+def _members(element: Element) -> dict[str, str]:
+    """Return what is said of the object besides, unless it says nothing."""
+    values = {name: text_of(element, name) for name in MEMBERS}
+    return {name: value for name, value in values.items() if value.lower() not in UNSAID}
 
 
 def _rotation(text: str) -> float:

@@ -139,3 +139,33 @@ def test_the_difficulty_of_hrsc_is_read(put: Put) -> None:
     )
     (labels,) = read_labels(path)
     assert labels.difficulties == [1]
+
+
+def test_what_coco_says_besides_is_counted(put: Put) -> None:
+    document = {
+        'info': {'year': 2026},
+        'licenses': [],
+        'images': [{'id': 1, 'file_name': 'a.png', 'license': 2, 'coco_url': ''}],
+        'categories': [{'id': 1, 'name': 'ship', 'supercategory': 'vessel'}],
+        'annotations': [{'id': 1, 'image_id': 1, 'category_id': 1, 'bbox': [1, 2, 3, 4]}],
+    }
+    path = put('in.json', json.dumps(document))
+    tally = convert(path, path.with_name('out.json'), target_format='coco')
+    assert tally.losses == (
+        'coco: 3 other members (info, images.license, categories.supercategory)'
+    )
+
+
+@pytest.mark.parametrize(
+    ('pose', 'properties'), [('Left', {'pose': ('Left',)}), ('Unspecified', {})]
+)
+def test_the_pose_of_voc_is_a_property_unless_it_is_unspecified(
+    put: Put, pose: str, properties: dict[str, tuple[str]]
+) -> None:
+    bounds = '<bndbox><xmin>1</xmin><ymin>2</ymin><xmax>3</xmax><ymax>4</ymax></bndbox>'
+    ship = f'<name>ship</name><pose>{pose}</pose><truncated>0</truncated>{bounds}'
+    path = put('a.xml', f'<annotation><object>{ship}</object></annotation>')
+    (labels,) = read_labels(path)
+    assert labels.extras.properties == properties
+    tally = convert(path, path.with_name('out'), target_format='voc')
+    assert tally.losses == ('voc: 1 property (pose)' if properties else '')

@@ -298,3 +298,19 @@ def test_csv_keeps_other_columns_crowds_and_difficulties(put: Put) -> None:
     header, *rows = path.with_name('out.csv').read_text().splitlines()
     assert header.endswith('capped,crowd,difficulty,mmsi')
     assert [row.rsplit(',', 3)[1:] for row in rows] == [['1', '2', '219000001'], ['0', '0', '']]
+
+
+def test_names_that_a_shapefile_shortens_are_counted(put: Put, tmp_path: Path) -> None:
+    pytest.importorskip('geopandas')
+    fields = {'time_of_day': '12:00', 'mmsi': 7}
+    ring = _ring(500311.0, 6649643.0, 130.0, 20.0, 0.5)
+    path = put('in.geojson', _collection(_feature(ring, **fields), crs=UTM))
+    tally = convert(path, tmp_path / 'out.shp', HullRule())
+    assert tally.losses == 'shapefile: 1 long name (time_of_day)'
+
+
+def test_the_summary_says_how_many_boxes_are_in_degrees(put: Put) -> None:
+    path = put('in.geojson', _collection(_feature(_ring(0, 0, 4e-3, 4e-4, 0) + [12.0, 60.0])))
+    tally = convert(path, path.with_name('out.geojson'), HullRule())
+    assert tally.in_degrees == 1
+    assert '1 in degrees computed in metres' in str(tally)
