@@ -54,7 +54,7 @@ class PlayDetections(Node):
     Node `play_detections`: one message per image, at a rate, once or looped.
 
     Publishes `detections` or `polygons`, `camera_info` where the image's size is known, and
-    `image` if the image file exists.
+    `image` where there are image files.
 
     Parameters
     ----------
@@ -85,7 +85,15 @@ class PlayDetections(Node):
             self, message_type(self._output_type), self._output_type.topic, _DEPTH
         )
         self._camera_publisher = create_output(self, CameraInfo, 'camera_info', _DEPTH)
-        self._image_publisher = create_output(self, Image, 'image', depth=4)
+        # Without image files the topic has no publisher, so that its subscribers can say so.
+        self._image_publisher = (
+            create_output(self, Image, 'image', depth=4) if any(self._files) else None
+        )
+        if missing := self._files.count(None):
+            self.get_logger().info(
+                f'{missing} of {len(self._files)} images have no file: their labels are published '
+                'alone'
+            )
         self._timer = self.create_timer(_POLL_PERIOD, self._begin)
 
     def _read(self, settings: PlayerSettings) -> Iterator[ImageLabels]:
@@ -125,7 +133,8 @@ class PlayDetections(Node):
 
     def _subscribers_are_connected(self) -> bool:
         """Return whether all subscribers are connected, and none has come for a while."""
-        publishers = (self._publisher, self._camera_publisher, self._image_publisher)
+        outputs = (self._publisher, self._camera_publisher, self._image_publisher)
+        publishers = [publisher for publisher in outputs if publisher is not None]
         counts = [publisher.get_subscription_count() for publisher in publishers]
         subscribers = [self.count_subscribers(publisher.topic_name) for publisher in publishers]
         complete = subscribers == self._subscribers and all(map(operator.ge, counts, subscribers))
@@ -150,7 +159,7 @@ class PlayDetections(Node):
         if size:
             width, height = size
             self._camera_publisher.publish(CameraInfo(header=header, width=width, height=height))
-        if image:
+        if image and self._image_publisher is not None:
             self._image_publisher.publish(image)
         for message in _MESSAGES[self._output_type.name](labels, header, settings.bow):
             self._publisher.publish(message)

@@ -44,7 +44,7 @@ gsd:0.15
 100.5 200 100.5 260 90.5 260 90.5 200 tug 1
 """
 # The same in an image of 400 x 500.
-YOLO = """0 0.025 0.04 0.125 0.04 0.125 0.06 0.025 0.06
+YOLO = """0 0.025 0.04 0.125 0.04 0.125 0.06 0.025 0.06 1.0
 1 0.25125 0.4 0.25125 0.52 0.22625 0.52 0.22625 0.4 0.75
 """
 CSV = """image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4,score
@@ -206,6 +206,15 @@ def test_without_a_path_the_harbour_is_played(played: dict[str, Player]) -> None
     assert len(message.detections) > 10
     (info,) = played['harbour'].infos
     assert (info.width, info.height) == HARBOUR_SIZE
+    assert '1 of 1 images have no file' in played['harbour'].log
+
+
+def test_without_image_files_nobody_publishes_on_image(play: Play, put: Put) -> None:
+    player = play(path=put('ships.csv', CSV), loop=True)
+    player.peer.spin_until(lambda: len(player.messages) > 1, 'the labels')
+    assert player.peer.node.count_publishers('camera_info') == 1
+    assert player.peer.node.count_publishers('image') == 0
+    player.process.send_signal(signal.SIGINT)
 
 
 def test_a_parameter_that_does_not_exist_is_reported(played: dict[str, Player]) -> None:
@@ -251,6 +260,7 @@ def test_images_beside_the_labels_are_published_with_their_stamp(
     assert player.finish() == 0
     assert len(player.messages) == 2
     assert len(player.images) == len(player.infos) == int(images)
+    assert '1 of 2 images have no file' in player.log
     for image in player.images:
         assert image.header == player.messages[1].header == player.infos[0].header
         assert (image.encoding, image.width, image.height) == ('rgb8', 40, 30)
