@@ -106,13 +106,13 @@ def frames_text(one: tuple[str, str], other: tuple[str, str]) -> str:
     Examples
     --------
     >>> frames_text(('detections', 'left'), ('camera_info', 'right'))
-    "detections of frame 'left' meet camera_info of frame 'right': two cameras on one topic?"
+    "detections of frame 'left', but camera_info of frame 'right': two cameras on one topic?"
     """
     (what, frame_id), (other_what, other_frame_id) = one, other
     if frame_id == other_frame_id or not frame_id or not other_frame_id:
         return ''
     return (
-        f'{what} of frame {frame_id!r} meet {other_what} of frame {other_frame_id!r}: '
+        f'{what} of frame {frame_id!r}, but {other_what} of frame {other_frame_id!r}: '
         'two cameras on one topic?'
     )
 

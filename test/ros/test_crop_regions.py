@@ -427,5 +427,5 @@ def test_detections_outside_the_image_as_a_rule_and_of_another_camera_are_said(
         node.convert(message, crops)
     node.wait(lambda: node.warned('lie outside the image of 640 x 480 pixels'), 'a warning')
     assert node.counts().since(before)['frame_ids_differ.camera_info'] == 3
-    said = "detections of frame 'large' meet camera_info of frame 'small'"
+    said = "detections of frame 'large', but camera_info of frame 'small'"
     assert node.process.log.count(said) == 1

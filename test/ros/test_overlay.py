@@ -110,7 +110,7 @@ def test_a_layer_of_another_frame_is_drawn_counted_and_said(node: OverlayNode) -
         node.send_layer(layer, (), Header(stamp=header.stamp, frame_id=frame_id))
     node.picture_of(header)
     assert node.counts().since(before, 'frame_ids') == {'frame_ids_differ.boxes': 1}
-    assert "image of frame 'bow_camera' meet boxes of frame 'other'" in node.process.log
+    assert "image of frame 'bow_camera', but boxes of frame 'other'" in node.process.log
 
 
 def test_frames_that_overlap_in_time_are_not_mixed(node: OverlayNode) -> None:
