@@ -9,6 +9,16 @@ from obbhbb_ros.wire.layouts import InputType
 _COMPRESSED = '/compressed'
 # Bytes from which Fast DDS loses a best-effort message whole, with its default shared memory.
 _LARGE = 500_000
+# What the nodes of this package publish, of the types that they also read.
+_MADE = (
+    'boxes',
+    'crop_regions',
+    'crop_sources',
+    'chip/camera_info',
+    'chip/compressed',
+    'chip/detections',
+    'overlay/compressed',
+)
 
 
 def advice_on_type(topic: str, kind: InputType | None, read: str, carried: str) -> str:
@@ -41,6 +51,25 @@ def advice_on_type(topic: str, kind: InputType | None, read: str, carried: str) 
     if (read, carried) == ('CompressedImage', 'Image'):
         return 'set image_transport to raw, and remap image to this topic'
     return f'remap it to a topic that carries {read}'
+
+
+def may_be_meant(topic: str, candidate: str) -> bool:
+    """
+    Return whether an input may be meant for a topic, which an output of our nodes is not.
+
+    Parameters
+    ----------
+    topic : str
+        Name of the input, before namespace and remaps.
+    candidate : str
+        Full name of a topic that carries its type of message.
+
+    Examples
+    --------
+    >>> may_be_meant('detections', '/boxes'), may_be_meant('boxes', '/left/boxes')
+    (False, True)
+    """
+    return not any(candidate.endswith(f'/{made}') for made in _MADE if made != topic)
 
 
 def advice_on_silence(topic: str, carriers: dict[str, str]) -> str:

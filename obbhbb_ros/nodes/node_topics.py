@@ -21,6 +21,7 @@ from obbhbb_ros.nodes.following import type_name
 from obbhbb_ros.nodes.input_advice import advice_on_loss
 from obbhbb_ros.nodes.input_advice import advice_on_silence
 from obbhbb_ros.nodes.input_advice import advice_on_type
+from obbhbb_ros.nodes.input_advice import may_be_meant
 from obbhbb_ros.nodes.parts import Part
 from obbhbb_ros.nodes.parts import steady_timer
 from obbhbb_ros.nodes.reporter import DIAGNOSTICS
@@ -226,7 +227,10 @@ class TopicInput:
             name: plain
             for name, types in node.get_topic_names_and_types()
             for plain in (carried.rpartition('/')[2] for carried in types)
-            if plain in kinds and name not in own and node.get_publishers_info_by_topic(name)
+            if plain in kinds
+            and name not in own
+            and may_be_meant(self.topic, name)
+            and node.get_publishers_info_by_topic(name)
         }
 
     def _receive_when_active(self, data: bytes) -> None:

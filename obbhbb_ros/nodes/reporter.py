@@ -151,13 +151,15 @@ class Reporter(Part):
             trouble = trouble or self._reminder
         silence = self.monitor.silence()
         self._notice_silence(silence, input_timeout if state == 'active' else 0.0)
+        notes = [*chain(*(notes() for notes in self._notes))]
         if self._is_silent:
             is_stale = silence > _STALE_AFTER * input_timeout
             level = DiagnosticStatus.STALE if is_stale else DiagnosticStatus.ERROR
-            return level, f'no input for {silence:.0f} s'
+            reasons = [trouble] if trouble else notes
+            return level, '; '.join([f'no input for {silence:.0f} s', *reasons])
         if trouble:
             return DiagnosticStatus.WARN, trouble
-        return DiagnosticStatus.OK, ', '.join([state, *chain(*(notes() for notes in self._notes))])
+        return DiagnosticStatus.OK, ', '.join([state, *notes])
 
     def _notice_silence(self, silence: float, timeout: float) -> None:
         """Log when the node begins to miss input, and when input is back; 0 for no timeout."""

@@ -13,6 +13,7 @@ from harness import Site
 from sensor_msgs.msg import CompressedImage
 from ships import detections
 from ships import fleet
+from vision_msgs.msg import Detection2DArray
 from yolo_msgs.msg import DetectionArray
 
 # These tests depend on rclpy alone, which is the same in all environments.
@@ -55,6 +56,30 @@ def test_a_topic_without_a_publisher_is_reported_once_and_in_the_diagnostics(
     node.connect()
     node.wait(lambda: node.next_report().message == 'active', 'the end of it')
     node.convert(detections(fleet(2)))
+
+
+def test_without_input_in_time_the_reason_is_in_the_diagnostics(
+    start: Callable[..., Converter],
+) -> None:
+    node = start(parameters={'input_timeout': 1.0})
+    reason = f'nobody publishes on {node.namespace}/detections'
+
+    def is_explained() -> bool:
+        status = node.next_report()
+        return status.level >= DiagnosticStatus.ERROR and reason in status.message
+
+    node.wait(is_explained, 'the reason')
+    node.peer.node.create_publisher(DetectionArray, 'detections', 10)
+    reason = 'carries yolo_msgs/DetectionArray'
+    node.wait(is_explained, 'the other reason')
+
+
+def test_outputs_of_the_package_are_not_proposed_as_input(start: Callable[..., Converter]) -> None:
+    node = start()
+    for topic in ('chip/detections', 'left/crop_regions', 'yolo'):
+        node.peer.node.create_publisher(Detection2DArray, topic, 10)
+    line = node.wait_for_log(f'nobody publishes on {node.namespace}/detections')
+    assert line.endswith(f'; remap it to {node.namespace}/yolo?')
 
 
 def test_the_compressed_topic_is_named_if_nobody_publishes_on_the_plain_one(site: Site) -> None:
