@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import pytest
 from harness import Peer
 from harness import Site
+from PIL import Image as Picture
 from sensor_msgs.msg import CompressedImage
 
 from obbhbb_ros.limits import Choices
@@ -62,6 +63,11 @@ def test_the_policy_has_the_names_of_the_running_node_whatever_its_parameters(
 ) -> None:
     folders = {'spool.path': tmp_path / 'spool', 'outbox.path': tmp_path / 'outbox'}
     used = {name: path for name, path in folders.items() if name in NODE_TABLES[node].parameters()}
+    if node == 'play_detections':
+        # It publishes images if there are some.
+        Picture.new('L', (40, 30)).save(tmp_path / 'P1.png')
+        used['path'] = tmp_path / 'P1.txt'
+        used['path'].write_text('10 20 30 20 30 25 10 25 ship 0\n')
     spaces = {f'/variant{i}': given for i, given in enumerate(variants(node))}
     with ExitStack() as stack:
         peer = stack.enter_context(Peer(site.context, '/watching'))
