@@ -98,7 +98,12 @@ class Downlink(ManagedNode[DownlinkSettings]):
         """Learn whether there is contact."""
         self.monitor.add('contacts_received')
         is_contact = read_contact(data)
-        if self._contact.is_lost:
+        if self.parameters.settings.always_in_contact:
+            self.reporter.warn_once(
+                f'{self._contact_in.topic_name} has no effect while the parameter contact is '
+                'always; set it to topic'
+            )
+        elif self._contact.is_lost:
             self.get_logger().info(f'{self._contact_in.topic_name} is back')
         self._contact.hear(is_contact, time.monotonic())
         self._steer()

@@ -607,6 +607,17 @@ def test_contact_that_is_not_renewed_is_lost_and_comes_back(chain: Chain) -> Non
         node.wait_for_log('/contact is back')
 
 
+def test_a_message_on_contact_that_has_no_effect_is_reported(chain: Chain) -> None:
+    node = chain.downlink()
+    with Peer(chain.site.context, chain.chips.namespace) as ground:
+        contact = ground.publisher(Bool, 'contact', LATCHED)
+        contact.publish(Bool(data=False))
+        node.wait_for_log('/contact has no effect while the parameter contact is always')
+        assert values_of(node.next_report())['contact'] == 'true'
+        node.set({'contact': 'topic'})
+        node.wait(lambda: values_of(node.next_report())['contact'] == 'false', 'the end of contact')
+
+
 def test_after_a_kill_contact_is_heard_again(chain: Chain) -> None:
     with Peer(chain.site.context, chain.chips.namespace) as ground:
         contact = ground.node.create_publisher(Bool, 'contact', LATCHED)
