@@ -42,7 +42,7 @@ class SpoolError(ObbhbbError, OSError):
 
 
 class SpoolDamagedError(SpoolError):
-    """The database in use is damaged; the next transaction uses a mended or a new one."""
+    """The database in use is damaged and set aside; the next transaction begins a new one."""
 
 
 class CatalogueSchema(NamedTuple):
@@ -103,7 +103,8 @@ class Catalogue:
         self._schema = schema
         self._on_trouble, self._on_open = on_trouble, on_open
         self._database: sqlite3.Connection | None = None
-        self._path, self._inode = folder, 0
+        self._path = folder
+        self._files: list[tuple[int, int] | None] = []
         self._locks: list[int] = []
         self.tag = ''
 
@@ -132,8 +133,8 @@ class Catalogue:
         Raises
         ------
         SpoolDamagedError
-            If the database is damaged. It is set aside, and the next transaction uses a new one; or
-        only its indexes were, and the next transaction uses new ones.
+            If the database is damaged, or its files were deleted or replaced. It is set aside, and the
+        next transaction uses a new one.
         SpoolError
             If the database cannot be used now.
         """
@@ -142,6 +143,7 @@ class Catalogue:
                 yield rows
             if write:
                 self._set_wait(self._patience)
+                self._check_files()
         except SpoolError:
             raise
         except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
@@ -169,25 +171,40 @@ class Catalogue:
         if self._database is None or not self._is_current():
             self.close()
             self._database = self._open()
-            self._inode = self._path.stat().st_ino
             self.tag = self._path.stem.rpartition('_')[2]
             try:
                 with _transaction(self._database, write=True) as rows:
                     self._on_open(rows)
+                self._files = self._files_now()
             except BaseException:
                 self.close()
                 raise
         return self._database
 
     def _is_current(self) -> bool:
-        """Return whether the open file is still there and in use; report it if it is gone."""
+        """Return whether the open files are still there and in use; report it if one is gone."""
         try:
-            is_same = self._path.stat().st_ino == self._inode
-        except OSError:
-            is_same = False
-        if not is_same:
-            self._on_trouble(f'{self._path} was deleted or replaced, a new catalogue begins')
-        return is_same and is_in_use(self._path)
+            self._check_files()
+        except SpoolDamagedError as error:
+            self._on_trouble(str(error))
+            return False
+        return is_in_use(self._path)
+
+    def _check_files(self) -> None:
+        """Set the database aside and close it if one of its files is gone or another one."""
+        if self._files_now() == self._files:
+            return
+        # What other processes write into it would be lost.
+        if self._path.exists():
+            self._set_aside('')
+        self.close()
+        raise SpoolDamagedError(
+            f'{self._path} or its log was deleted or replaced, a new catalogue begins'
+        )
+
+    def _files_now(self) -> list[tuple[int, int] | None]:
+        """Identify the files of the database by their names, which others may have taken."""
+        return [_identity(f'{self._path}{suffix}') for suffix in ('', '-wal', '-shm')]
 
     def _open(self) -> sqlite3.Connection:
         """Open the database in use, or a new one."""
@@ -272,7 +289,7 @@ class Catalogue:
             self._set_wait(_IMPATIENCE)
         return SpoolError(f'{self._folder}: {error}')
 
-    def _set_aside(self, error: Exception) -> str:
+    def _set_aside(self, error: object) -> str:
         """Mark the database in use as damaged; return a text that says so."""
         self._path.with_name(self._path.name + DAMAGED).touch()
         return f'{self._path} is damaged and set aside: {error}'
@@ -303,6 +320,15 @@ def is_in_use(path: Path) -> bool:
 def _number(path: Path) -> int:
     """Return the number of a database within its folder."""
     return int(path.name.split('_')[1])
+
+
+def _identity(path: str) -> tuple[int, int] | None:
+    """Identify a file; None if there is none."""
+    try:
+        status = os.stat(path)
+    except FileNotFoundError:
+        return None
+    return status.st_dev, status.st_ino
 
 
 def _is_damage(error: Exception) -> bool:

@@ -673,7 +673,9 @@ def test_what_was_lost_with_a_log_is_lost_as_a_whole(tmp_path, troubles, suffix)
     spool.close()
 
 
-@pytest.mark.parametrize('what', ['folder', 'catalogue', 'log', 'all files'])
+@pytest.mark.parametrize(
+    'what', ['folder', 'catalogue', 'log', 'index of the log', 'all files', 'replaced']
+)
 def test_a_new_catalogue_replaces_one_that_was_deleted_while_open(tmp_path, troubles, what) -> None:
     folder = tmp_path / 'spool'
     spool = SpoolUsers(folder, troubles.append)
@@ -683,17 +685,47 @@ def test_a_new_catalogue_replaces_one_that_was_deleted_while_open(tmp_path, trou
     (path,) = catalogue_files(folder)
     if what == 'folder':
         shutil.rmtree(folder)
-    for deleted in folder.glob({'all files': '*', 'log': '*-wal'}.get(what, path.name)):
+    if what == 'replaced':
+        with closing(sqlite3.connect(tmp_path / 'other')) as other:
+            other.execute('CREATE TABLE other (a)')
+        (tmp_path / 'other').replace(path)
+    names = {'all files': '*', 'log': '*-wal', 'index of the log': '*-shm', 'replaced': 'none'}
+    for deleted in folder.glob(names.get(what, path.name)):
         deleted.unlink()
     assert spool.writer.store(frame, [new_chip(0.7), new_chip(0.8)], {})
     assert spool.writer.status().counts['planned'] >= 2
     assert claim(spool)[:2] == [0.8, 0.7]
     gone = [text for text in troubles if str(path) in text and 'deleted' in text]
-    assert len(gone) == (0 if what == 'log' else 2)
+    assert len(gone) == 2
     spool.close()
     again = SpoolUsers(folder, troubles.append)
-    assert counts(again).waiting >= (0 if what == 'log' else 2)
+    assert counts(again).waiting == 2
+    assert counts(again).set_aside == (what in ('log', 'index of the log', 'replaced'))
     again.close()
+
+
+class DeletingLog(dict):
+    """Counts of refused chips that delete the log when they are read, in the transaction."""
+
+    def __init__(self, folder):
+        super().__init__()
+        self._folder = folder
+
+    def items(self):
+        for path in self._folder.glob('chips_0001*-wal'):
+            path.unlink()
+        return super().items()
+
+
+def test_what_was_stored_into_a_deleted_log_is_stored_again(tmp_path, spool, troubles) -> None:
+    frame = spool.writer.plan(2)
+    chips = [new_chip(0.7), new_chip(0.8)]
+    assert spool.writer.store(frame, chips, DeletingLog(tmp_path))
+    assert len(troubles) == 1
+    assert 'deleted or replaced' in troubles[0]
+    spool.close()
+    assert counts(spool).waiting == 2
+    assert len(catalogue_files(tmp_path)) == 2
 
 
 def test_chips_of_a_lost_catalogue_are_none_of_the_new_one(tmp_path, troubles) -> None:
