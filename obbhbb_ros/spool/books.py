@@ -121,7 +121,7 @@ class Books:
             If both are damaged.
         """
         for table in _COPIES:
-            with suppress(ValueError, TypeError, KeyError, RecursionError):
+            with suppress(ValueError, TypeError, KeyError, AttributeError, RecursionError):
                 (text,) = rows.execute(f'SELECT text FROM {table}').fetchone()
                 if is_sealed(text.encode(errors='surrogatepass')):
                     values = json.loads(text)

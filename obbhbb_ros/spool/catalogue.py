@@ -133,8 +133,8 @@ class Catalogue:
         Raises
         ------
         SpoolDamagedError
-            If the database is damaged, or its files were deleted or replaced. It is set aside, and the
-        next transaction uses a new one.
+            If the database is damaged, or its files were deleted or replaced. It is set aside, and
+            the next transaction uses a new one.
         SpoolError
             If the database cannot be used now.
         """
@@ -192,7 +192,9 @@ class Catalogue:
 
     def _check_files(self) -> None:
         """Set the database aside and close it if one of its files is gone or another one."""
-        if self._files_now() == self._files:
+        before, self._files = self._files, self._files_now()
+        # SQLite makes one later if the disk was full.
+        if all(file in (None, now) for file, now in zip(before, self._files, strict=True)):
             return
         # What other processes write into it would be lost.
         if self._path.exists():

@@ -108,6 +108,8 @@ class OutboxFeeder:
         Why nothing was released in the last step; empty if something was. Read only.
     available : float
         Bytes that the link could carry at the last step. Read only.
+    signs : int
+        Grows with each step and each chip: no disk keeps it waiting. Read only.
     """
 
     def __init__(
@@ -118,7 +120,7 @@ class OutboxFeeder:
         on_trouble: Callable[[str], object],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.stalled_by, self.available = '', 0.0
+        self.stalled_by, self.available, self.signs = '', 0.0, 0
         self._spool, self._outbox = spool, outbox
         self._on_trouble, self._clock = on_trouble, clock
         # One attribute, so that another thread sets both at once.
@@ -128,6 +130,8 @@ class OutboxFeeder:
         self._batch = ReleaseBatch(set(), set())
         # Claimed chips that may have been in the outbox: the bus may have taken them.
         self._unsure: set[str] = set()
+        # Level and cost of the chips that are not complete in the outbox yet.
+        self._added: dict[str, tuple[int, int]] = {}
         self._contents = Contents()
         self._look_at = 0.0
 
@@ -160,6 +164,7 @@ class OutboxFeeder:
         """
         # Unless this step ends well, the next one recovers.
         phase, self._phase = self._phase, Phase.RECOVER
+        self.signs += 1
         try:
             if phase is Phase.RECOVER:
                 self._recover()
@@ -176,8 +181,9 @@ class OutboxFeeder:
         return pause
 
     def close(self) -> None:
-        """Close the spool."""
+        """Close spool and outbox."""
         self._spool.close()
+        self._outbox.close()
 
     def _recover(self) -> None:
         """Find out which claimed chips have reached the outbox."""
@@ -197,6 +203,7 @@ class OutboxFeeder:
         if expected and not folder.exists():
             raise SpoolError(f'{folder} is missing; is it mounted? Make it if it is to be new')
         token = self._outbox.token()
+        self._outbox.lock()
         if token == expected:
             return
         if expected and (waiting := len(self._spool.ids(ChipState.RELEASED))):
@@ -259,15 +266,19 @@ class OutboxFeeder:
         if not claim.chips:
             return self._stall(claim, settings, room)
         self._batch = ReleaseBatch(set(), {chip.id for chip, _ in claim.chips} - self._unsure)
-        for chip, data in claim.chips:
-            if not self._put(chip, data):
-                break
+        try:
+            for chip, data in claim.chips:
+                if not self._put(chip, data):
+                    break
+        finally:
+            self._finish()
         self.stalled_by = ''
         self._record()
         return 0.0
 
     def _put(self, chip: StoredChip, data: bytes) -> bool:
-        """Put a claimed chip into the outbox; False if that is not allowed any more."""
+        """Add a claimed chip to the outbox; False if that is not allowed any more."""
+        self.signs += 1
         settings = self._refresh()
         description = describe_intact(chip, data)
         if description is None:
@@ -283,18 +294,31 @@ class OutboxFeeder:
         level = level_of(chip.value, settings.levels)
         suffix = CODECS[description['codec']].suffix
         self._bucket.spend(cost, self._clock())
-        self._batch.left.discard(chip.id)
         try:
-            self._outbox.put(chip.id, suffix, data, description, level)
+            self._outbox.add(chip.id, suffix, data, description, level)
         except OSError:
-            # A late failure may leave the chip in the outbox all the same.
+            # The bus has it if it was put there before.
             if not self._outbox.holds(chip.id, level):
                 self._bucket.give_back(cost)
             raise
+        self._batch.left.discard(chip.id)
         self._contents.bytes += size
-        self._unsure.discard(chip.id)
-        self._batch.put.add(chip.id)
+        self._added[chip.id] = level, cost
         return True
+
+    def _finish(self) -> None:
+        """Complete the chips that were added to the outbox."""
+        added, self._added = self._added, {}
+        try:
+            self._outbox.finish()
+        except OSError:
+            # A late failure may leave a chip in the outbox all the same.
+            for chip_id, (level, cost) in added.items():
+                if not self._outbox.holds(chip_id, level):
+                    self._bucket.give_back(cost)
+            raise
+        self._unsure.difference_update(added)
+        self._batch.put.update(added)
 
     def _stall(self, claim: Claim, settings: ReleaseSettings, room: float) -> float:
         """Say why nothing is released; return how long to wait."""

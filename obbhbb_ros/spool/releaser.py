@@ -191,5 +191,6 @@ def _next_chips(
             if cost > room:
                 return Claim(chips, Stall.NO_ROOM, cost)
             room -= cost
-            chips.append((StoredChip(*fields), data))
+            # That of the row may be damaged; the index found it by this one.
+            chips.append((StoredChip(*fields)._replace(state=state), data))
     return Claim(chips)

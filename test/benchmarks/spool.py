@@ -76,11 +76,11 @@ class Noted(Outbox):
         super().__init__(folder)
         self.order: list[tuple[float, int]] = []
 
-    def put(
+    def add(
         self, chip_id: str, suffix: str, data: bytes, description: dict[str, Any], level: int
     ) -> None:
         self.order.append((-description['value'], int(chip_id.rpartition('_')[2])))
-        super().put(chip_id, suffix, data, description, level)
+        super().add(chip_id, suffix, data, description, level)
 
 
 def command(folder: Path) -> list[str]:

@@ -60,6 +60,13 @@ def go_on(spool, folder, troubles):
 # Bits
 
 
+@pytest.mark.parametrize('bit', [65026, 129442])
+def test_bits_that_once_stopped_a_node(tmp_path, bit) -> None:
+    """The state of a row is bytes; the text of the books is nothing."""
+    flips = Flips(tmp_path)
+    assert flips.check(bit)
+
+
 def test_no_flipped_bit_releases_a_wrong_chip_or_stops_a_node(tmp_path) -> None:
     """A sample; `test/fuzz/catalogue.py` takes all."""
     flips = Flips(tmp_path)

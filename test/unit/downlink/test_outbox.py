@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import shutil
+import stat
 from hashlib import sha256
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.outbox import json_bytes
 from obbhbb_ros.spool.outbox import level_of
+from obbhbb_ros.spool.seals import is_sealed
 
 
 def put(outbox, name='a', data=b'data', level=0, suffix='jpg'):
@@ -53,16 +55,119 @@ def test_the_json_gets_its_name_last_when_both_are_on_disk(tmp_path, monkeypatch
     monkeypatch.setattr(os, 'fsync', noted_fsync)
     monkeypatch.setattr(os, 'replace', noted_replace)
     put(Outbox(tmp_path))
-    # Of the new folder; of the file, its name, of the folder; '' is a folder.
+    # Of the new folder; of the files, the name of one, of the folder, the name of the other; ''
+    # is a folder.
     assert done == [
         ('fsync', ''),
         ('fsync', '.jpg'),
+        ('fsync', '.json'),
         ('replace', '.jpg'),
         ('fsync', ''),
-        ('fsync', '.json'),
         ('replace', '.json'),
         ('fsync', ''),
     ]
+
+
+def test_a_batch_flushes_its_folders_twice(tmp_path, monkeypatch) -> None:
+    outbox, folders = Outbox(tmp_path), []
+    put(outbox)
+    put(outbox, level=1)
+    fsync = os.fsync
+
+    def noted_fsync(descriptor):
+        if stat.S_ISDIR(os.fstat(descriptor).st_mode):
+            folders.append(Path(os.readlink(f'/proc/self/fd/{descriptor}')).name)
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, 'fsync', noted_fsync)
+    for i in range(8):
+        outbox.add(f'chip{i}', 'jpg', b'data', {'id': i}, i % 2)
+    assert folders == []
+    assert outbox.contents().complete == {'a'}
+    outbox.finish()
+    assert sorted(folders) == ['0', '0', '1', '1']
+    assert len(outbox.contents().complete) == 9
+
+
+# Entries of others
+
+
+def test_links_and_folders_in_the_outbox_are_left_alone(tmp_path) -> None:
+    outbox = Outbox(tmp_path)
+    put(outbox)
+    level = tmp_path / '0'
+    (level / 'loop').symlink_to('loop')
+    (level / 'b.json').symlink_to('missing')
+    (level / 'c.json').mkdir()
+    os.mkfifo(level / 'd.json')
+    (tmp_path / '7').symlink_to('7')
+    contents = outbox.contents()
+    assert (contents.ids, contents.complete) == ({'a'}, {'a'})
+    outbox.remove_unfinished(['b', 'c'])
+    assert {path.name for path in level.iterdir()} == {
+        'a.jpg',
+        'a.json',
+        'c.json',
+        'd.json',
+        'loop',
+    }
+
+
+@pytest.mark.parametrize('name', ['a.jpg', 'a.json'])
+@pytest.mark.parametrize('kind', ['folder', 'link', 'pipe'])
+def test_what_has_the_name_of_a_chip_does_not_keep_it_out(tmp_path, name, kind) -> None:
+    level = tmp_path / '0'
+    level.mkdir()
+    if kind == 'folder':
+        (level / name).mkdir()
+        (level / name / 'kept').touch()
+    elif kind == 'link':
+        (level / name).symlink_to(tmp_path / 'elsewhere')
+    else:
+        os.mkfifo(level / name)
+    put(Outbox(tmp_path))
+    assert (level / 'a.jpg').read_bytes() == b'data'
+    assert is_sealed((level / 'a.json').read_bytes())
+    assert not (tmp_path / 'elsewhere').exists()
+    assert len(list(level.glob('.*/kept'))) == (kind == 'folder')
+
+
+@pytest.mark.parametrize('kind', ['link', 'zeros', 'pipe', 'folder'])
+def test_a_token_that_is_no_file_is_an_error_at_once(tmp_path, kind) -> None:
+    path = tmp_path / '.outbox'
+    if kind in ('link', 'zeros'):
+        path.symlink_to('/dev/zero' if kind == 'zeros' else '.outbox')
+    elif kind == 'pipe':
+        os.mkfifo(path)
+    else:
+        path.mkdir()
+    with pytest.raises(OSError, match=r'\.outbox'):
+        Outbox(tmp_path).token()
+
+
+def test_a_token_is_read_with_a_limit(tmp_path) -> None:
+    path = tmp_path / '.outbox'
+    path.touch()
+    os.truncate(path, 2**40)
+    assert len(Outbox(tmp_path).token()) == 64
+
+
+def test_an_outbox_has_one_releaser_at_a_time(tmp_path) -> None:
+    first, second = Outbox(tmp_path), Outbox(tmp_path)
+    first.token()
+    first.lock()
+    first.lock()
+    with pytest.raises(OSError, match='another process releases into this outbox'):
+        second.lock()
+    first.close()
+    second.lock()
+    # Another folder in its place is another outbox.
+    tmp_path.rename(tmp_path.with_name('aside'))
+    tmp_path.mkdir()
+    first.token()
+    first.lock()
+    first.close()
+    second.close()
 
 
 def test_a_chip_in_the_outbox_is_replaced(tmp_path) -> None:

@@ -123,13 +123,13 @@ def test_nothing_is_released_without_contact(ground) -> None:
 def noted_puts(monkeypatch):
     """List the values of chips in the order of their release."""
     order = []
-    real = Outbox.put
+    real = Outbox.add
 
     def put(self, chip_id, suffix, data, description, level):
         order.append(description['value'])
         real(self, chip_id, suffix, data, description, level)
 
-    monkeypatch.setattr(Outbox, 'put', put)
+    monkeypatch.setattr(Outbox, 'add', put)
     return order
 
 
@@ -227,7 +227,7 @@ def test_a_chip_beyond_the_burst_stays_and_holds_up_nothing(ground) -> None:
 
 def in_the_middle(monkeypatch, after, change):
     """Do something after some chips of a batch."""
-    real, count = Outbox.put, []
+    real, count = Outbox.add, []
 
     def put(self, *args, **kwargs):
         real(self, *args, **kwargs)
@@ -235,7 +235,7 @@ def in_the_middle(monkeypatch, after, change):
         if len(count) == after:
             change()
 
-    monkeypatch.setattr(Outbox, 'put', put)
+    monkeypatch.setattr(Outbox, 'add', put)
 
 
 CHANGES = {
@@ -396,7 +396,7 @@ class Killed(BaseException):
 
 def killed_after(ground, monkeypatch, puts):
     """End the releaser after it has put out some chips."""
-    real, count = Outbox.put, []
+    real, count = Outbox.add, []
 
     def put(self, *args):
         if len(count) == puts:
@@ -405,7 +405,7 @@ def killed_after(ground, monkeypatch, puts):
         real(self, *args)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Outbox, 'put', put)
+        patch.setattr(Outbox, 'add', put)
         with pytest.raises(Killed):
             ground.feeder.step()
     ground.restart()
@@ -499,15 +499,21 @@ def test_a_failed_write_that_got_to_the_bus_is_delivered_rather_than_evicted(
     ground, monkeypatch
 ) -> None:
     store(ground.writer, [0.2, 0.1])
-    real = Outbox.put
+    real_add, real_finish = Outbox.add, Outbox.finish
 
-    def put(self, *args):
-        real(self, *args)
+    def add(self, chip_id, *args):
+        if chip_id.endswith('_2'):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        real_add(self, chip_id, *args)
+
+    def finish(self):
+        real_finish(self)
         ground.remove([0.2])
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     with monkeypatch.context() as patch:
-        patch.setattr(Outbox, 'put', put)
+        patch.setattr(Outbox, 'add', add)
+        patch.setattr(Outbox, 'finish', finish)
         ground.steps()
     ground.set_contact(False)
     ground.steps()
@@ -561,7 +567,7 @@ def test_a_damaged_chip_is_evicted_and_holds_up_nothing(ground) -> None:
 
 def test_an_outbox_that_cannot_be_written_is_tried_again(ground, monkeypatch) -> None:
     store(ground.writer, [0.9, 0.8, 0.7])
-    real = Outbox.put
+    real = Outbox.add
     failing = [True]
 
     def put(self, chip_id, *args):
@@ -569,7 +575,7 @@ def test_an_outbox_that_cannot_be_written_is_tried_again(ground, monkeypatch) ->
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.folder))
         real(self, chip_id, *args)
 
-    monkeypatch.setattr(Outbox, 'put', put)
+    monkeypatch.setattr(Outbox, 'add', put)
     # What the bus takes at once is not released again, though it was not written down.
     for left in ([0.9], []):
         assert ground.feeder.step() == 1.0
@@ -865,7 +871,7 @@ def test_an_unexpected_error_does_not_end_the_thread(ground, monkeypatch) -> Non
     ground.feeder.close()
     store(ground.writer, [0.9])
     with monkeypatch.context() as patch:
-        patch.setattr(Outbox, 'put', lambda *_: 1 / 0)
+        patch.setattr(Outbox, 'add', lambda *_: 1 / 0)
         thread = FeederThread(ground.folder / 'spool', ground.folder / 'outbox', RELEASE)
         thread.steer(RELEASE, is_contact=True)
         wait_for(lambda: thread.feeder.stalled_by == 'ZeroDivisionError: division by zero')
