@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 # Each detection has a copy of the message's header. Their words together may be this many times
 # the words of the message.
 _MAX_HEADERS = 16
+# An empty polygon has four bytes, and takes 700 in memory; from so many on, half may be empty.
+_MANY_POLYGONS = 1000
 # Doubles of a box: x, y, theta, size x, size y.
 _BOX_DOUBLES = np.arange(5)
 _NO_BOX = np.array([nan, nan, 0.0, nan, nan])
@@ -53,11 +55,18 @@ def read_polygons(
     -------
     list of ndarray, each of shape (K, 2)
         x and y of the vertices, pixels.
+
+    Raises
+    ------
+    obbhbb_ros.wire.buffer.WireError
+        If most of many polygons are empty.
     """
     (step,) = input_type.element
     numbers = buffer.words.view(f'<f{step.size}')
     places = index.places(input_type.points)
     counts = buffer.words[places >> 2].tolist()
+    if len(counts) > _MANY_POLYGONS and 2 * counts.count(0) > len(counts):
+        raise WireError(f'{counts.count(0)} of {len(counts)} polygons are empty')
     firsts = ((places + 4 + step.size - 1) // step.size).tolist()
     width = step.length // step.size
     # NumPy warns when it converts a signalling NaN.

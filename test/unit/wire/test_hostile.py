@@ -91,6 +91,33 @@ read_within_limits('{input_type}', {made_by})
     assert subprocess.run([sys.executable, '-c', code], check=False).returncode == 7
 
 
+def polygons(*counts: int) -> bytes:
+    """Write polygons with some numbers of vertices."""
+    writer = Writer('<', 0)
+    writer.header((0, 0), '')
+    writer.number('I', len(counts))
+    for count in counts:
+        writer.number('I', count)
+        for _ in range(2 * count):
+            writer.number('d', 1.0)
+    # No colours.
+    writer.number('I', 0)
+    return message(writer)
+
+
+@pytest.mark.parametrize(
+    ('counts', 'readable'),
+    [((0,) * 1000, True), ((0, 4) * 1000, True), ((0, 4, 0) * 1000, False), ((0,) * 1001, False)],
+)
+def test_many_polygons_are_not_mostly_empty(counts: tuple[int, ...], readable: bool) -> None:
+    data, kind = polygons(*counts), INPUT_TYPES['Polygon2DCollection']
+    if readable:
+        assert len(Detections(data, kind)) == len(counts)
+    else:
+        with pytest.raises(WireError, match=f'{counts.count(0)} of {len(counts)} polygons'):
+            Detections(data, kind)
+
+
 @pytest.mark.parametrize(('width', 'readable'), [(10**6, True), (10**6 + 1, False), (MANY, False)])
 def test_an_image_that_cannot_be_is_no_image_size(width: int, readable: bool) -> None:
     writer = Writer('<', 0)
