@@ -47,6 +47,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader of the output, such as `head`, has closed it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return _BY_SIGNAL + signal.SIGPIPE
+    except (MemoryError, RecursionError) as error:
+        is_memory = isinstance(error, MemoryError)
+        what = 'not enough memory' if is_memory else 'the input is nested too deeply'
+        print(f'obbhbb: {what}', file=sys.stderr)
+        return 1
     except (ObbhbbError, ImportError, OSError, ValueError) as error:
         advice = '; see the extras in the README' if isinstance(error, ImportError) else ''
         print(f'obbhbb: {error}{advice}', file=sys.stderr)

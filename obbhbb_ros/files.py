@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Atomic file writing: a file is written completely or not at all."""
+"""Files that are written completely or not at all, and read within bounds."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import glob
 import os
 import secrets
 import shutil
+import stat
 import tempfile
 from collections.abc import Collection
 from collections.abc import Iterable
@@ -113,6 +114,27 @@ def write_pieces(path: Path, pieces: Iterable[str]) -> None:
     """Write a text as UTF-8 with `replacing`, piece by piece to save memory."""
     with replacing(path) as partial, partial.open('w', encoding='utf-8', newline='') as stream:
         stream.writelines(pieces)
+
+
+def read_bounded(path: Path, max_bytes: int) -> bytes:
+    """
+    Read a regular file that may be of any size or kind.
+
+    Raises ValueError, without the name of the file, if it is a pipe or device, which could block or
+    have no end, or larger than `max_bytes`.
+    """
+    # Without waiting for the other end of a pipe.
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise ValueError('not a regular file')
+        if status.st_size > max_bytes:
+            raise ValueError(f'{status.st_size} bytes, the maximum is {max_bytes}')
+        with open(descriptor, 'rb', closefd=False) as stream:
+            return stream.read(max_bytes)
+    finally:
+        os.close(descriptor)
 
 
 def sync_folder(folder: Path) -> None:

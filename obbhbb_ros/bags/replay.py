@@ -28,13 +28,20 @@ from typing import Any
 from typing import NamedTuple
 from typing import TypeAlias
 
+import lz4.frame
+import zstandard
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat
 from rosbags.rosbag2 import CompressionMode
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer
+from rosbags.rosbag2 import storage_mcap
 
+from obbhbb_ros.bags.rescue import MAX_BYTES
+from obbhbb_ros.bags.rescue import MAX_METADATA_BYTES
+from obbhbb_ros.bags.rescue import decompressed
+from obbhbb_ros.bags.rescue import has_oversized_records
 from obbhbb_ros.bags.rescue import rescue
 from obbhbb_ros.bags.rescue import storage_files
 from obbhbb_ros.bags.rescue import summary_of
@@ -238,8 +245,7 @@ def _replay(
 @contextmanager
 def _opened(source: Path) -> Iterator[Reader]:
     """Open a bag for reading."""
-    if source.is_dir() and not (source / 'metadata.yaml').exists():
-        raise DamagedBagError('no metadata.yaml')
+    _require_bounded(source)
     try:
         reader = Reader(source)
         reader.open()
@@ -252,6 +258,36 @@ def _opened(source: Path) -> Iterator[Reader]:
         yield reader
     finally:
         reader.close()
+
+
+def _require_bounded(source: Path) -> None:
+    """Raise DamagedBagError if the library would wait, or read more than fits into memory."""
+    metadata = source / 'metadata.yaml'
+    if source.is_dir() and not metadata.exists():
+        raise DamagedBagError('no metadata.yaml')
+    for path in source.iterdir() if source.is_dir() else [source]:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise DamagedBagError(f'{path.name} is not a regular file')
+        if path.suffix == '.mcap' and path.is_file():
+            with path.open('rb') as stream:
+                if has_oversized_records(stream):
+                    raise DamagedBagError(f'{path.name}: a record of more than {MAX_BYTES} bytes')
+    if metadata.is_file() and metadata.stat().st_size > MAX_METADATA_BYTES:
+        raise DamagedBagError(f'metadata.yaml has more than {MAX_METADATA_BYTES} bytes')
+
+
+def _bounded_chunk(compression: str, data: bytes, size: int) -> bytes:
+    """Decompress a chunk that should have `size` bytes, and at most one byte more than that."""
+    if size > MAX_BYTES:
+        raise DamagedBagError(f'a chunk of {size} bytes, the maximum is {MAX_BYTES}')
+    if compression == 'lz4':
+        plain: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
+        return plain
+    return zstandard.ZstdDecompressor().stream_reader(data).read(size + 1)
+
+
+# The library's own decompress whatever a chunk holds.
+storage_mcap.DECOMPRESSORS.update({name: partial(_bounded_chunk, name) for name in ('lz4', 'zstd')})
 
 
 def _settings(topics: Topics, options: ReplayOptions, report: Report) -> ConversionSettings:
@@ -291,7 +327,9 @@ def _writer(source: Path, target: Path, reader: Reader, options: ReplayOptions) 
     mode = CompressionMode[(compression or 'none').upper()]
     writer.set_compression(mode, CompressionFormat.ZSTD)
     for key, value in (reader.storage.metadata.custom or {}).items():
-        writer.set_custom_data(key, str(value))
+        # The text of nested aliases grows with each level.
+        if not isinstance(value, dict | list):
+            writer.set_custom_data(key, str(value))
     return writer
 
 
@@ -383,14 +421,27 @@ class _Replay:
         """Read all messages."""
         count = 0
         try:
-            for message in self.reader.messages():
-                yield message
+            for connection, moment, data in self._stored_messages():
+                yield connection, moment, data
                 count += 1
         # Any exception: the libraries raise errors of many kinds for broken bytes.
         except Exception as error:
             raise DamagedBagError(f'after {count} messages: {error}') from error
         if count != (expected := self.reader.message_count):
             raise DamagedBagError(f'it has {count} messages, but its metadata says {expected}')
+
+    def _stored_messages(self) -> Iterator[tuple[Connection, int, bytes]]:
+        """Read the messages of the library, but decompress them within bounds."""
+        storage = self.reader.storage
+        if storage.metadata.compression_mode != 'message':
+            yield from self.reader.messages()
+            return
+        storage.metadata = storage.metadata._replace(compression_mode=None)
+        for connection, moment, data in self.reader.messages():
+            plain = decompressed(data)
+            if plain is None:
+                raise DamagedBagError('a message cannot be decompressed')
+            yield connection, moment, plain
 
     def _stretches(self, messages: Iterable[tuple[Connection, int, bytes]]) -> Iterator[_Stretch]:
         """Divide the messages into stretches of about `STRETCH_BYTES`."""

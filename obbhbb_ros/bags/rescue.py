@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import glob
+import os
 import re
 import shutil
 import sqlite3
@@ -46,13 +47,19 @@ from obbhbb_ros.bags.topics import add_topic
 from obbhbb_ros.damaged_sqlite import Gap
 from obbhbb_ros.damaged_sqlite import lossy_text
 from obbhbb_ros.damaged_sqlite import rows_around_damage
+from obbhbb_ros.files import read_bounded
 
 _STORAGE_NAME = re.compile(r'.\.(mcap|db3)(\.(.*\.)?zstd)?$')
 # Opcode, length, first and last time, size, checksum, length of the compression's name.
 _CHUNK_HEAD = struct.Struct('<BQQQQII')
-_MAX_CHUNK_BYTES = 2**26
+MAX_BYTES = 2**28
+"""Maximum size of a record, a chunk or a message that is read, packed or not, bytes."""
+MAX_METADATA_BYTES = 2**24
+"""Maximum size of a metadata.yaml that is read, bytes."""
 # Bytes of a chunk that are decompressed at once.
 _PIECE = 256
+_MCAP_MAGIC = b'\x89MCAP0\r\n'
+_RECORD_HEAD = struct.Struct('<BQ')
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 # What reading a damaged table may raise.
 _TABLE_ERRORS = (sqlite3.Error, UnicodeError, LookupError)
@@ -129,7 +136,7 @@ def rescue(source: Path, target: Path, report: Report) -> int:
             key = topic.name, topic.msgtype, topic.qos
             if key not in connections:
                 connections[key] = _added(writer, topic, lose)
-            plain = _decompressed(data)
+            plain = decompressed(data)
             if plain is None:
                 lose(f'a message on {topic.name} at {moment} is damaged')
             elif connection := connections[key]:
@@ -144,9 +151,10 @@ def rescue(source: Path, target: Path, report: Report) -> int:
 def _promised(source: Path) -> int:
     """Return how many messages a bag has according to its metadata, 0 if they do not say."""
     try:
-        metadata = yaml.safe_load((source / 'metadata.yaml').read_text(encoding='utf-8'))
+        text = read_bounded(source / 'metadata.yaml', MAX_METADATA_BYTES)
+        metadata = yaml.safe_load(text.decode())
         return int(metadata['rosbag2_bagfile_information']['message_count'])
-    except (OSError, yaml.YAMLError, LookupError, TypeError, ValueError):
+    except (OSError, yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError):
         return 0
 
 
@@ -203,14 +211,22 @@ def _working_copy(path: Path, folder: Path, lose: Report) -> Path:
     return copy
 
 
-def _decompressed(data: bytes) -> bytes | None:
-    """Decompress a message if it is compressed; None if that fails. No plain message begins so."""
+def decompressed(data: bytes) -> bytes | None:
+    """
+    Decompress a message if it is compressed; no plain message begins so.
+
+    Return None if that fails, or if it is larger than `MAX_BYTES`.
+    """
     if not data.startswith(_ZSTD_MAGIC):
         return data
+    plain = bytearray()
     try:
-        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+        stream = zstandard.ZstdDecompressor().stream_reader(data)
+        while len(plain) <= MAX_BYTES and (block := stream.read(2**16)):
+            plain += block
     except zstandard.ZstdError:
         return None
+    return bytes(plain) if len(plain) <= MAX_BYTES else None
 
 
 def _mcap_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, bytes]]:
@@ -236,10 +252,26 @@ def _mcap_messages(path: Path, lose: Report) -> Iterator[tuple[_Topic, int, byte
                 yield _Topic(*names, definition, digest, qos), record.log_time, record.data
 
 
+def has_oversized_records(stream: BinaryIO) -> bool:
+    """Check whether an MCAP file has a record that is too large to be read at once."""
+    stream.seek(len(_MCAP_MAGIC))
+    while len(head := stream.read(_RECORD_HEAD.size)) == _RECORD_HEAD.size:
+        opcode, length = _RECORD_HEAD.unpack(head)
+        if length > MAX_BYTES:
+            return True
+        # No record begins with a zero: the rest of the file has been lost.
+        if not opcode:
+            return False
+        stream.seek(length, os.SEEK_CUR)
+    return False
+
+
 def summary_of(stream: BinaryIO) -> Summary:
     """Read the summary at the end of an MCAP file; an empty one if it cannot be read."""
+    is_bounded = not has_oversized_records(stream)
+    stream.seek(0)
     try:
-        summary = make_reader(stream).get_summary()
+        summary = make_reader(stream).get_summary() if is_bounded else None
     # Broken bytes can raise anything.
     except Exception:
         summary = None
@@ -249,7 +281,8 @@ def summary_of(stream: BinaryIO) -> Summary:
 
 def _records(stream: BinaryIO, name: str, lose: Report) -> Iterator[Any]:
     """Read the records of an MCAP file, also those in chunks, up to the first damaged one."""
-    records = iter(StreamReader(stream, emit_chunks=True).records)
+    reader = StreamReader(stream, emit_chunks=True, record_size_limit=MAX_BYTES)
+    records = iter(reader.records)
     while True:
         start = stream.tell()
         try:
@@ -258,14 +291,17 @@ def _records(stream: BinaryIO, name: str, lose: Report) -> Iterator[Any]:
         except Exception as error:
             lose(f'{name}: nothing, or not all, can be read from byte {start} on: {_text(error)}')
             stream.seek(start)
-            yield from _beginning_of_chunk(stream.read(_MAX_CHUNK_BYTES))
+            yield from _beginning_of_chunk(stream.read(MAX_BYTES))
             return
         if record is None:
             return
         if not isinstance(record, Chunk):
             yield record
             continue
-        content = unpack_chunk(record.compression, record.data)
+        if record.uncompressed_size > MAX_BYTES:
+            lose(f'{name}: the chunk from byte {start} on is lost: more than {MAX_BYTES} bytes')
+            continue
+        content = unpack_chunk(record.compression, record.data, record.uncompressed_size + 1)
         crc = record.uncompressed_crc
         if len(content) != record.uncompressed_size or (crc and zlib.crc32(content) != crc):
             lose(f'{name}: the chunk of messages from byte {start} on is damaged')
@@ -292,8 +328,8 @@ def _inner_records(content: bytes) -> Iterator[Any]:
         return
 
 
-def unpack_chunk(compression: str, data: bytes) -> bytes:
-    """Decompress a chunk, up to where it is damaged."""
+def unpack_chunk(compression: str, data: bytes, enough: int = MAX_BYTES) -> bytes:
+    """Decompress a chunk, up to where it is damaged, and not much more than enough."""
     if not compression:
         return data
     unpacked = bytearray()
@@ -303,9 +339,11 @@ def unpack_chunk(compression: str, data: bytes) -> bytes:
             # In pieces: a damaged piece yields nothing at all.
             for start in range(0, len(data), _PIECE):
                 unpacked += decompressor.decompress(data[start : start + _PIECE])
+                if len(unpacked) >= enough:
+                    break
         else:
             stream = zstandard.ZstdDecompressor().stream_reader(data)
-            while block := stream.read(2**16):
+            while len(unpacked) < enough and (block := stream.read(2**16)):
                 unpacked += block
     except (RuntimeError, zstandard.ZstdError):
         pass

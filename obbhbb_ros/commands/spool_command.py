@@ -20,6 +20,7 @@ from obbhbb_ros.spool.salvage import intact_chips
 from obbhbb_ros.study import spools
 
 _CHIPS_LISTED, _EXPORTED = 20, Path('out/chips')
+_ALL = 2**63 - 1
 # Options of `obbhbb spool` that one action takes.
 _OF_ONE_ACTION = {
     'limit': 'list',
@@ -78,6 +79,10 @@ def run_spool(options: Namespace) -> int:
         value = getattr(options, name)
         if action != options.action and value is not None and value is not False:
             raise ValueError(f'{options.action}: takes no --{name}, it is for {action}')
+    if (options.limit or 0) < 0:
+        raise ValueError(f'--limit must be 0 or more, not {options.limit}')
+    if math.isnan(options.min_value) or math.isnan(options.max_value):
+        raise ValueError('--min-value and --max-value must be numbers')
     chips = ChipFilter(options.class_ids, options.ids, options.min_value, options.max_value)
     if options.spool.is_file() and options.action == 'export':
         intact = ((chip, data) for chip, data in intact_chips(options.spool) if chips.matches(chip))
@@ -93,7 +98,8 @@ def run_spool(options: Namespace) -> int:
 
 def _list_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> None:
     """Show the books, and the chips that are released next."""
-    limit = _CHIPS_LISTED if options.limit is None else options.limit or -1
+    # Larger numbers do not fit into SQL.
+    limit = _CHIPS_LISTED if options.limit is None else min(options.limit or _ALL, _ALL)
     shown, status = console.select(chips, limit), console.status()
     if options.json:
         print(json.dumps(spools.as_json(status, shown), indent=1, ensure_ascii=False))

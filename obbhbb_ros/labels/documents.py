@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
+from obbhbb_ros.files import read_bounded
 from obbhbb_ros.labels.image_labels import ImageSize
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_file import Record
@@ -21,6 +22,8 @@ from obbhbb_ros.labels.text import packing
 
 TOKEN = re.compile(r'"((?:[^"\\]|\\.)*)("|$)|[][{},:]', re.DOTALL)
 MAX_LEVEL = 4
+# Of a file that is read as a whole; it takes several times as much in memory.
+MAX_BYTES = 2**30
 # How deep the value of a property may be nested.
 MAX_DEPTH = 16
 
@@ -34,6 +37,14 @@ def image_size_of(width: object, height: object) -> ImageSize | None:
     return size if min(size) > 0 else None
 
 
+def read_document(file: LabelFile) -> bytes:
+    """Read a file as a whole; raise FileError if it is too large, or no regular file."""
+    try:
+        return read_bounded(file.path, MAX_BYTES)
+    except ValueError as error:
+        raise file.error(str(error)) from None
+
+
 def read_json(file: LabelFile, shorten: Callable[[dict[str, Any]], Any] | None = None) -> Any:
     """
     Parse a JSON file, UTF-8 with or without BOM; raise FileError if it is not JSON.
@@ -41,7 +52,7 @@ def read_json(file: LabelFile, shorten: Callable[[dict[str, Any]], Any] | None =
     `shorten` is called with each JSON object as soon as it is complete; its result replaces the
     object.
     """
-    data = file.path.read_bytes()
+    data = read_document(file)
     if problem := packing(data):
         raise file.error(problem)
     try:

@@ -23,6 +23,8 @@ from obbhbb_ros.labels.label_file import LabelError
 
 # 32768 x 32768: 3 GB at three bytes per pixel.
 MAX_PIXELS = 2**30
+# Those of `IMAGE_SUFFIXES`: other readers of Pillow run other programs.
+IMAGE_FORMATS = ('PNG', 'JPEG', 'TIFF', 'BMP', 'WEBP', 'JPEG2000')
 EXIF_ORIENTATION = 0x0112
 EXIF_TURNED = (5, 6, 7, 8)
 _EXACT_MODES = {'L': 'mono8', 'RGB': 'rgb8', 'RGBA': 'rgba8', 'I;16': 'mono16'}
@@ -116,21 +118,24 @@ def _shown_size(path: Path) -> ImageSize:
 
 
 @contextmanager
-def opened_image(path: Path) -> Iterator[Any]:
+def opened_image(
+    path: Path, formats: Sequence[str] = IMAGE_FORMATS, max_pixels: int | None = None
+) -> Iterator[Any]:
     """
     Open a PIL image, not decoded yet, that may be as large as a satellite scene.
 
     Raises ModuleNotFoundError if Pillow is not installed; OSError or ValueError if the image cannot
-    be read or has more than `MAX_PIXELS` pixels.
+    be read, is of none of the formats, as Pillow names them, or has more than `max_pixels` pixels,
+    by default `MAX_PIXELS`.
     """
     from PIL import Image
 
     # Pillow warns above this number of pixels, and refuses twice as many.
-    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MAX_PIXELS // 2
+    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, (max_pixels or MAX_PIXELS) // 2
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', Image.DecompressionBombWarning)
-            image = Image.open(path)
+            image = Image.open(path, formats=formats)
     except Image.DecompressionBombError as error:
         raise ValueError(f'{path}: {error}') from None
     finally:
@@ -159,6 +164,17 @@ def load_image(path: Path) -> tuple[str, NDArray[Any]]:
         Also if it has colours of 16 bits, of which Pillow reads the upper 8 alone, or no finite
         pixel.
     """
+    try:
+        return _loaded(path)
+    except (ImportError, OSError, ValueError, MemoryError):
+        raise
+    except Exception as error:
+        # Pillow raises errors of many kinds for damaged files.
+        raise ValueError(f'{path}: {error or type(error).__name__}') from error
+
+
+def _loaded(path: Path) -> tuple[str, NDArray[Any]]:
+    """Read an image; any exception if it is damaged."""
     from PIL import ImageOps
 
     with opened_image(path) as stored:

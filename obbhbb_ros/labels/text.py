@@ -28,6 +28,7 @@ from obbhbb_ros.labels.label_file import Record
 
 # Lines are parsed this much at a time: a core's cache holds what comes of it.
 BLOCK_BYTES = 1 << 18
+MAX_LINE_BYTES = 1 << 26
 
 Block: TypeAlias = tuple[Sequence[int], Sequence[str]]
 """Line numbers, counted from 1, and the lines without their ends."""
@@ -63,13 +64,15 @@ def line_blocks(path: Path, on_error: OnError) -> Iterator[Block]:
     Read the lines of a UTF-8 file, with or without BOM, ended by LF, CRLF or CR, block by block.
 
     A line that is not UTF-8 is left out, and `on_error` gets a LabelError for it. Raises FileError
-    if the file is compressed or UTF-16.
+    if the file is compressed or UTF-16, or has a line of more than `MAX_LINE_BYTES`.
     """
     first = 1
     with path.open('rb') as stream:
         if problem := packing(stream.peek()[:4]):
             raise FileError(path, None, problem)
-        while data := stream.read(BLOCK_BYTES) + stream.readline():
+        while data := stream.read(BLOCK_BYTES) + stream.readline(MAX_LINE_BYTES):
+            if len(data) >= BLOCK_BYTES + MAX_LINE_BYTES:
+                raise FileError(path, None, f'a line of more than {MAX_LINE_BYTES} bytes')
             lines = (data if first > 1 else data.removeprefix(codecs.BOM_UTF8)).splitlines()
             try:
                 yield range(first, first + len(lines)), list(map(bytes.decode, lines))

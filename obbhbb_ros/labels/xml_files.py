@@ -10,6 +10,7 @@ from xml.etree.ElementTree import TreeBuilder
 from xml.parsers import expat
 
 from obbhbb_ros.labels.documents import image_size_of
+from obbhbb_ros.labels.documents import read_document
 from obbhbb_ros.labels.image_labels import ImageSize
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_file import Record
@@ -48,7 +49,7 @@ def read_objects(
 
 
 def _parse_xml(file: LabelFile) -> tuple[Element, dict[Element, int]]:
-    data = file.path.read_bytes()
+    data = read_document(file)
     builder = TreeBuilder()
     lines: dict[Element, int] = {}
     parser = expat.ParserCreate()

@@ -48,13 +48,21 @@ def report_unknown(node: Node, unknown: Iterable[str]) -> None:
         node.get_logger().info(f'parameters of other nodes, ignored: {others}')
 
 
+def _shared(file: Path, name: str) -> set[str]:
+    """Collect the names in sections for several nodes; none of a pipe, which ROS has emptied."""
+    try:
+        return shared_names(file, name)
+    except (OSError, ValueError):
+        return set()
+
+
 def _of_other_nodes(node: Node) -> set[str]:
     """Collect the names in sections for several nodes that some node of the package has."""
     # It takes time to import, and few nodes need it.
     from obbhbb_ros.settings.all_nodes import NODE_TABLES
 
     name = node.get_fully_qualified_name()
-    shared = set[str]().union(*(shared_names(file, name) for file in parameter_files(sys.argv)))
+    shared = set[str]().union(*(_shared(file, name) for file in parameter_files(sys.argv)))
     return {
         known
         for table in NODE_TABLES.values()

@@ -14,6 +14,11 @@ from pathlib import Path
 from typing import Any
 from typing import TypeAlias
 
+from obbhbb_ros.files import read_bounded
+
+# The file of a node with a hundred classes has 50 kB.
+_MAX_BYTES = 2**20
+
 Value: TypeAlias = bool | int | float | str | list[str] | list[float]
 Values: TypeAlias = dict[str, Value]
 
@@ -121,8 +126,8 @@ def _document(path: Path) -> Any:
         list('-+.0123456789'),
     )
     try:
-        return yaml.load(path.read_text(encoding='utf-8'), Loader)
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        return yaml.load(read_bounded(path, _MAX_BYTES).decode(), Loader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ValueError(f'{path}: {error}') from None
 
 

@@ -30,6 +30,7 @@ import numpy as np
 
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.downlink.chips import to_8_bits
+from obbhbb_ros.files import read_bounded
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels.image_files import opened_image
 from obbhbb_ros.spool.seals import is_sealed
@@ -41,6 +42,11 @@ from obbhbb_ros.wire.stamp import nanoseconds_of
 from obbhbb_ros.wire.stamp import stamp_text
 
 _SUFFIXES = {f'.{codec.suffix}' for codec in CODECS.values()}
+_MAX_JSON_BYTES, _MAX_CHIP_BYTES = 2**22, 2**28
+# Pixels of a chip that is converted: one picture at a time, and a few copies of it.
+_MAX_PIXELS = 2**25
+# Bytes of a chip file that are read at once.
+_PIECE = 2**20
 # Longer side of an embedded picture, pixels.
 _EMBEDDED = 256
 # Where the header of a PNG states the bits per channel.
@@ -57,7 +63,7 @@ class GalleryChip:
     path : Path
         The chip file, whether it is there or not.
     facts : dict
-        Content of the JSON: all keys, each of the right type.
+        Content of the JSON: the keys that are known, each of the right type.
     damage : str
         What is wrong with the chip file, empty if nothing is.
     size : int or None
@@ -114,8 +120,9 @@ def read_received(folder: Path) -> Received:
         shown = printable(str(path.relative_to(folder)))
         try:
             chip = _checked(path)
-        except (OSError, ValueError, RecursionError) as error:
-            received.problems.append(f'{shown}: {printable(str(error))}')
+        except (OSError, ValueError, RecursionError, MemoryError) as error:
+            problem = printable(str(error)) or 'not enough memory'
+            received.problems.append(f'{shown}: {problem}')
             continue
         named.add(chip.path)
         received.chips.append(chip)
@@ -199,8 +206,8 @@ def _files(folder: Path, problems: list[str]) -> Iterator[Path]:
 
 def _checked(path: Path) -> GalleryChip:
     """Read a JSON and check its chip file; ValueError if the JSON cannot be used."""
-    content = path.read_bytes()
-    facts = json.loads(content.decode('utf-8'))
+    content = read_bounded(path, _MAX_JSON_BYTES)
+    facts = json.loads(content.decode())
     if not isinstance(facts, dict):
         raise ValueError('not a JSON object')
     for key, (meaning, is_right) in _KEYS.items():
@@ -212,7 +219,7 @@ def _checked(path: Path) -> GalleryChip:
     damage, size = _damage(chip, facts)
     if not is_sealed(content):
         damage = damage or 'damaged: the digest of its JSON differs or is missing'
-    return GalleryChip(chip, facts, damage, size)
+    return GalleryChip(chip, {key: facts[key] for key in _KEYS}, damage, size)
 
 
 def _damage(chip: Path, facts: dict[str, Any]) -> tuple[str, int | None]:
@@ -222,9 +229,20 @@ def _damage(chip: Path, facts: dict[str, Any]) -> tuple[str, int | None]:
     size = chip.stat().st_size
     if size != facts['bytes']:
         return f'damaged: {size} bytes instead of {facts["bytes"]}', size
-    if sha256(chip.read_bytes()).hexdigest() != facts['sha256'].lower():
+    if size > _MAX_CHIP_BYTES:
+        return f'damaged: {size} bytes, the maximum is {_MAX_CHIP_BYTES}', size
+    if _digest(chip) != facts['sha256'].lower():
         return 'damaged: sha256 differs', size
     return '', size
+
+
+def _digest(path: Path) -> str:
+    """Compute the sha256 of a file, piece by piece."""
+    digest = sha256()
+    with path.open('rb') as stream:
+        while piece := stream.read(_PIECE):
+            digest.update(piece)
+    return digest.hexdigest()
 
 
 # Checks of the keys ---------------------------------------------------------------------------
@@ -335,15 +353,14 @@ def _picture(chip: GalleryChip, link: str, problems: list[str]) -> str | None:
     """Return the source of a chip's picture: the file, or its content if it must be converted."""
     if chip.size is None:
         return None
-    if not _needs_conversion(chip):
-        return link
     try:
-        return _converted(chip)
+        return _converted(chip) if _needs_conversion(chip) else link
     except ImportError:
         raise
     except Exception as error:
         # Any exception: Pillow's readers raise whatever a damaged file leads them to.
-        problems.append(f'{printable(chip.path.name)}: no picture ({printable(str(error))})')
+        reason = printable(str(error)) or type(error).__name__
+        problems.append(f'{printable(chip.path.name)}: no picture ({reason})')
         return None
 
 
@@ -359,7 +376,8 @@ def _converted(chip: GalleryChip) -> str:
     """Convert a chip to a small JPEG in a data URL; ValueError if its size is wrong."""
     from PIL import Image
 
-    with opened_image(chip.path) as stored:
+    formats = (chip.facts['codec'].upper(),)
+    with opened_image(chip.path, formats, _MAX_PIXELS) as stored:
         if list(stored.size) != chip.facts['roi'][2:]:
             raise ValueError(
                 'not {} x {} pixels, but {} x {}'.format(*chip.facts['roi'][2:], *stored.size)

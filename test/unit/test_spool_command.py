@@ -387,3 +387,12 @@ def test_a_catalogue_that_cannot_be_opened_is_an_error(tmp_path, capsys) -> None
     error = capsys.readouterr().err
     assert f'{path}: unable to open' in error
     assert 'copy all files' in error
+
+
+def test_any_limit_from_0_is_one(folder, capsys) -> None:
+    assert run(folder, 'list', '--limit', 10**20) == 0
+    assert capsys.readouterr().out
+    for words in (['--limit', '-1'], ['--min-value', 'nan'], ['--max-value', 'nan']):
+        assert run(folder, 'list', *words) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith('obbhbb: --')
