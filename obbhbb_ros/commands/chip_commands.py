@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from obbhbb_ros.commands.shared_options import add_number_options
+from obbhbb_ros.commands.shared_options import note_unread_folders
 from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.files import write_text
@@ -52,6 +53,7 @@ def run_chips(options: Namespace) -> None:
         what, source = 'a synthetic harbour (no real pixels)', harbour()
         pictures = [(source, chip_costs.render(source))]
     else:
+        note_unread_folders(options.labels)
         images = list(read_labels(options.labels))
         pictures = [
             _pictured(image, path)

@@ -13,6 +13,7 @@ from obbhbb_ros.commands.shared_options import add_bow_option
 from obbhbb_ros.commands.shared_options import add_end_options
 from obbhbb_ros.commands.shared_options import add_image_size_option
 from obbhbb_ros.commands.shared_options import add_number_options
+from obbhbb_ros.commands.shared_options import note_unread_folders
 from obbhbb_ros.commands.shared_options import warn_of_ends
 from obbhbb_ros.commands.shared_options import without_garbage_collection
 from obbhbb_ros.geometry import converter
@@ -68,6 +69,7 @@ def add_convert_options(parser: ArgumentParser) -> None:
 def run_convert(options: Namespace) -> int:
     """Convert label files of oriented boxes to label files of axis-aligned boxes."""
     warn_of_ends(options)
+    note_unread_folders(options.source)
     rule = converter.HullRule(
         options.method, options.q, options.f, options.s, options.q_bow, options.q_stern
     )

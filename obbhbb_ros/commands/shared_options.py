@@ -16,11 +16,13 @@ from pathlib import Path
 from obbhbb_ros.geometry import converter
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import LabelError
+from obbhbb_ros.labels.folders import unread_folders
 from obbhbb_ros.study.progress import note
 from obbhbb_ros.study.ships import BOWS
 from obbhbb_ros.study.ships import Ships
 from obbhbb_ros.study.ships import read_ships
 
+SUFFIXES = frozenset(suffix for entry in FORMATS.values() for suffix in entry.suffixes)
 PARAMETERS = {
     'q': f'shape exponent, {converter.Q_RANGE}',
     'f': f'fullness, {converter.F_RANGE}',
@@ -102,6 +104,12 @@ def warn_of_ends(options: Namespace) -> None:
         note('obbhbb: --q-bow and --q-stern have no effect without --bow')
 
 
+def note_unread_folders(path: Path) -> None:
+    """Say which folders beside label files are not read."""
+    for folder in unread_folders(path, SUFFIXES):
+        note(f'obbhbb: not read: {folder}: label files lie beside it, name it to read it')
+
+
 def read_labelled_ships(options: Namespace) -> Ships:
     """Read the ships; malformed records are reported, counted and left out."""
     errors: list[LabelError] = []
@@ -110,6 +118,8 @@ def read_labelled_ships(options: Namespace) -> Ships:
         errors.append(error)
         note(f'obbhbb: left out: {error}')
 
+    for path in options.labels:
+        note_unread_folders(path)
     size = tuple(options.image_size) if options.image_size else None
     ships = read_ships(
         options.labels,

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
 from collections.abc import Callable
 from collections.abc import Collection
@@ -61,6 +62,25 @@ def label_files(path: Path, suffixes: Collection[str]) -> list[Path]:
             path, None, f'no label file in this folder or below (looked for {expected})'
         )
     return files
+
+
+def unread_folders(path: Path, suffixes: Collection[str]) -> list[Path]:
+    """
+    List the sub-folders that `label_files` leaves out because label files lie beside them.
+
+    They hold files of the same suffix at least.
+    """
+    if not path.is_dir():
+        return []
+    # Without sorting and without a look at the files: most folders have no sub-folder.
+    with os.scandir(path) as entries:
+        inner = (Path(entry) for entry in entries if entry.is_dir())
+        folders = sorted(folder for folder in inner if not NO_FOLDERS.match(folder.name))
+    files = _files_among(path.iterdir(), suffixes) if folders else []
+    if all(map(_is_list_of_images, files)):
+        return []
+    beside = {file.suffix.lower() for file in files}
+    return [folder for folder in folders if _files_of_tree(folder, beside, MAX_DEPTH - 1)]
 
 
 def _files_below(path: Path, roots: list[Path], suffixes: Collection[str]) -> list[Path]:

@@ -351,3 +351,27 @@ def test_caps_that_cannot_be_meant_are_refused(
     source.write_text('10 20 50 20 50 30 10 30 ship 0')
     assert main(['convert', str(source), str(tmp_path / 'a.csv'), *options]) == 1
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ('names', 'unread'),
+    [
+        (('a.txt', 'train/b.txt', 'val/deep/c.txt'), ('train', 'val')),
+        (('a.txt', 'notes/b.md', '.hidden/b.txt', 'images/b.txt'), ()),
+        (('train/b.txt', 'val/c.txt'), ()),
+    ],
+)
+def test_folders_that_are_not_read_beside_labels_are_named(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    names: tuple[str, ...],
+    unread: tuple[str, ...],
+) -> None:
+    for name in names:
+        path = tmp_path / 'in' / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text('10 20 50 20 50 30 10 30 ship 0')
+    assert main(['convert', str(tmp_path / 'in'), str(tmp_path / 'out.csv')]) == 0
+    err = capsys.readouterr().err
+    assert err.count('not read') == len(unread)
+    assert all(f'{tmp_path / "in" / name}: label files lie beside it' in err for name in unread)
