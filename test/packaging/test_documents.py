@@ -19,6 +19,8 @@ from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.parameter_file import read_values
 from obbhbb_ros.study.harbour import harbour
 
+pytestmark = pytest.mark.once
+
 ROOT = Path(__file__).parents[2]
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.once
+
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / 'obbhbb_ros'
 MODULES = sorted(PACKAGE.rglob('*.py'))
