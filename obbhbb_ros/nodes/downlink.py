@@ -23,6 +23,9 @@ from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.feeder import FeederThread
 from obbhbb_ros.wire.contact import read_contact
 
+# Seconds after which a thread that gives no sign is reported; it may wait for another process.
+_MAX_SILENCE = 6.0
+
 
 class Downlink(ManagedNode[DownlinkSettings]):
     """
@@ -81,6 +84,11 @@ class Downlink(ManagedNode[DownlinkSettings]):
             self._books.close()
             self._books = self._spool_report = None
 
+    def worker_sign(self) -> int | None:
+        """Return how many signs of life the releasing thread has given."""
+        worker = self._worker
+        return None if worker is None else worker.feeder.signs
+
     def _steer(self) -> None:
         """Tell the thread which settings are in force and whether there is contact."""
         if self._worker is not None:
@@ -133,10 +141,13 @@ class Downlink(ManagedNode[DownlinkSettings]):
         self._watch_contact()
         for text in self._worker.take_troubles():
             self._warn_of_spool(text)
-        feeder = self._worker.feeder
+        feeder, stalled_by = self._worker.feeder, self._worker.feeder.stalled_by
+        if (silence := self._worker.silence()) > _MAX_SILENCE:
+            stalled_by = f'no answer from the disk of spool or outbox for {silence:.0f} s'
+            self.reporter.warn('no answer', stalled_by)
         facts = {
             'contact': plain_yaml(feeder.is_contact),
-            'stalled_by': feeder.stalled_by,
+            'stalled_by': stalled_by,
             'budget_available': f'{feeder.available:.0f}',
         }
         try:

@@ -74,6 +74,10 @@ class ManagedNode(LifecycleNode, Part, Generic[SettingsT]):
         self._is_starting = False
         internals.refuse_impossible_transitions(self, self.get_logger().error)
 
+    def worker_sign(self) -> int | None:
+        """Return a number that grows as long as the node's thread goes on; None if it has none."""
+        return None
+
     def autostart(self) -> None:
         """
         Configure and activate the node, if the parameter `autostart` is set.

@@ -43,7 +43,12 @@ class Supervision:
         self._state_files = [(node, file) for node in nodes if (file := _state_file_of(node))]
         timeouts = [node.get_parameter(WATCHDOG.name).value for node in nodes]
         stacks_file = next((file.stacks_file for _, file in self._state_files), None)
-        self.watchdog = Watchdog(min(filter(None, timeouts), default=0.0), stacks_file, self._stuck)
+        self.watchdog = Watchdog(
+            min(filter(None, timeouts), default=0.0),
+            stacks_file,
+            self._stuck,
+            [node.worker_sign for node in nodes],
+        )
 
     def start_nodes(self) -> None:
         """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ends a process whose executor is stuck in a callback, so that it is started again."""
+"""Ends a process whose executor or a thread of its nodes is stuck, so that it is started again."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable
+from collections.abc import Sequence
 from functools import partial
 from typing import IO
 from typing import Any
@@ -22,13 +23,15 @@ _MIN_TIMEOUT = 2.0
 # The watchdog counts its own looks instead of reading a clock: a clock goes on while the process is
 # stopped from outside.
 _LOOKS_PER_TIMEOUT = 8
+# Seconds more that a thread has: it may wait for another process, and for slow disks.
+_WORKER_PATIENCE = 10.0
 # Number of timeouts after which the last resort ends the process.
 _LAST_RESORT = 2.0
 
 
 class Watchdog:
     """
-    Ends the process when its executor is blocked for some time.
+    Ends the process when its executor, or a thread of a node, is blocked for some time.
 
     It looks from a thread of its own. While a library holds Python's lock, that thread cannot run;
     then the last resort ends the process, by SIGALRM, after twice the time.
@@ -41,6 +44,8 @@ class Watchdog:
         Where the stacks are written in that case; standard error by default.
     on_stuck : callable
         Called with the reason before the process ends.
+    worker_signs : sequence of callable
+        Each returns a number that grows as long as a thread of a node goes on; None without one.
 
     Attributes
     ----------
@@ -54,7 +59,11 @@ class Watchdog:
     """
 
     def __init__(
-        self, timeout: float, stacks_file: IO[bytes] | None, on_stuck: Callable[[str], object]
+        self,
+        timeout: float,
+        stacks_file: IO[bytes] | None,
+        on_stuck: Callable[[str], object],
+        worker_signs: Sequence[Callable[[], int | None]] = (),
     ) -> None:
         if 0.0 < timeout < _MIN_TIMEOUT:
             raise ValueError(
@@ -62,6 +71,7 @@ class Watchdog:
             )
         self.turns = 0
         self._timeout, self._stacks_file, self._on_stuck = timeout, stacks_file, on_stuck
+        self._worker_signs = worker_signs
         self._stopping = threading.Event()
         if timeout:
             threading.Thread(target=self._watch, name='watchdog', daemon=True).start()
@@ -71,20 +81,30 @@ class Watchdog:
         self._stopping.set()
 
     def _watch(self) -> None:
-        """Watch the number of turns until told to stop."""
+        """Watch the number of turns, and the signs of threads, until told to stop."""
         stacks_file: Any = self._stacks_file or sys.stderr or os.open(os.devnull, os.O_WRONLY)
         grace = int(self._timeout / 2)
         last_resort = LastResort(_LAST_RESORT * self._timeout - grace, grace, stacks_file)
-        unchanged = 0
-        while unchanged < _LOOKS_PER_TIMEOUT:
+        worker_timeout = self._timeout + _WORKER_PATIENCE
+        max_worker_looks = _LOOKS_PER_TIMEOUT * worker_timeout / self._timeout
+        unchanged, silent = 0, [0] * len(self._worker_signs)
+        while unchanged < _LOOKS_PER_TIMEOUT and max(silent, default=0) < max_worker_looks:
             # It ends the process, unless this line is reached again in time.
             last_resort.put_off()
-            turns = self.turns
+            turns, signs = self.turns, [sign() for sign in self._worker_signs]
             if self._stopping.wait(self._timeout / _LOOKS_PER_TIMEOUT):
                 last_resort.cancel()
                 return
             unchanged = unchanged + 1 if turns == self.turns else 0
-        reason = f'watchdog: no turn of the executor for {self._timeout:g} s, {_place()}'
+            silent = [
+                looks + 1 if before is not None and before == sign() else 0
+                for looks, before, sign in zip(silent, signs, self._worker_signs, strict=True)
+            ]
+        reason = (
+            f'watchdog: no turn of the executor for {self._timeout:g} s, {_place()}'
+            if unchanged >= _LOOKS_PER_TIMEOUT
+            else f'watchdog: no sign of a thread of the node for {worker_timeout:g} s'
+        )
         leave(STUCK, reason, partial(self._on_stuck, reason))
 
 

@@ -386,6 +386,7 @@ class FeederThread:
             settings,
             self._troubles.append,
         )
+        self._seen = 0, time.monotonic()
         self._wake, self._is_stopping = threading.Event(), False
         # The process does not wait for it to end: every step may be interrupted.
         self._thread = threading.Thread(target=self._work, name='release', daemon=True)
@@ -395,6 +396,13 @@ class FeederThread:
         """Set how chips are released, and whether they may be; takes effect at once."""
         self.feeder.steer(settings, is_contact)
         self._wake.set()
+
+    def silence(self) -> float:
+        """Return for how many seconds no call of this method has met a new sign of the thread."""
+        signs, now = self.feeder.signs, time.monotonic()
+        if signs != self._seen[0]:
+            self._seen = signs, now
+        return now - self._seen[1]
 
     def take_troubles(self) -> list[str]:
         """Return what an operator should know since the last call."""

@@ -220,6 +220,43 @@ def test_one_watchdog_watches_over_all_nodes_of_a_process(site: Site, tmp_path: 
         assert run.ended.startswith('watchdog: no turn of the executor for 2 s, in <module>')
 
 
+HUNG_THREAD = """
+import sys, time
+from pathlib import Path
+import rclpy
+from rclpy.parameter import Parameter
+from obbhbb_ros.nodes.downlink import Downlink
+from obbhbb_ros.nodes.supervision import Supervision
+from obbhbb_ros.spool.chip_rows import NewChip
+from obbhbb_ros.spool.outbox import Outbox
+from obbhbb_ros.spool.writer import SpoolWriter
+
+folder = Path(sys.argv[1])
+writer = SpoolWriter(folder / 'spool', print)
+writer.store(writer.plan(1), [NewChip(0.9, 'ship', (5, 0), {'codec': 'jpeg'}, b'...')], {})
+# As a frozen disk does it.
+Outbox.add = lambda *_: time.sleep(1_000_000)
+values = {'state.path': f'{folder}/state.json', 'watchdog_timeout': 2.0,
+          'spool.path': f'{folder}/spool', 'outbox.path': f'{folder}/outbox'}
+rclpy.init()
+node = Downlink(parameter_overrides=[Parameter(name, value=values[name]) for name in values])
+supervision = Supervision([node])
+supervision.start_nodes()
+while True:
+    supervision.watchdog.turns += 1
+    rclpy.spin_once(node, timeout_sec=0.1)
+"""
+
+
+def test_a_release_thread_that_hangs_is_reported_and_ended(site: Site, tmp_path: Path) -> None:
+    command = [sys.executable, '-c', HUNG_THREAD, str(tmp_path)]
+    ended = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert ended.returncode == 70, ended.stderr
+    assert 'no answer from the disk of spool or outbox for ' in ended.stderr
+    run = read_run((tmp_path / 'state.json').read_bytes())
+    assert run.ended == 'watchdog: no sign of a thread of the node for 12 s'
+
+
 # Without ---------------------------------------------------------------------------------------
 
 

@@ -4,6 +4,7 @@
 import errno
 import os
 import shutil
+import threading
 import time
 from dataclasses import replace
 
@@ -865,6 +866,22 @@ def test_a_thread_releases_from_contact_until_it_is_stopped(ground) -> None:
     ground.open()
     ground.steps()
     assert ground.out() == [0.9, 0.8]
+
+
+def test_a_thread_that_hangs_is_silent(ground, monkeypatch) -> None:
+    ground.feeder.close()
+    store(ground.writer, [0.9])
+    is_well = threading.Event()
+    with monkeypatch.context() as patch:
+        patch.setattr(Outbox, 'add', lambda *_: is_well.wait(60.0))
+        thread = FeederThread(ground.folder / 'spool', ground.folder / 'outbox', RELEASE)
+        wait_for(lambda: thread.feeder.stalled_by == 'no contact')
+        assert thread.silence() < 1.0
+        thread.steer(RELEASE, is_contact=True)
+        wait_for(lambda: thread.silence() > 1.5)
+        is_well.set()
+        wait_for(lambda: thread.silence() < 0.5)
+        thread.stop()
 
 
 def test_an_unexpected_error_does_not_end_the_thread(ground, monkeypatch) -> None:
