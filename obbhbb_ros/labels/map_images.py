@@ -128,7 +128,7 @@ def load_map_image(image: Path) -> NDArray[np.uint8 | np.uint16]:
         try:
             numbers = list(range(1, COLORS + 1)) if raster.count >= COLORS else [1]
             bands = raster.read(numbers, masked=True)
-        except rasterio.errors.RasterioError as error:
+        except (OSError, rasterio.errors.RasterioError) as error:
             raise ValueError(f'{image}: cannot be read: {error.__cause__ or error}') from None
     if bands.dtype.kind == 'c':
         raise ValueError(f'{image}: pixels are complex numbers: take their magnitude')
@@ -195,7 +195,7 @@ def _opened(image: Path) -> Iterator[Any]:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', rasterio.errors.NotGeoreferencedWarning)
             raster = rasterio.open(image)
-    except rasterio.errors.RasterioError as error:
+    except (OSError, rasterio.errors.RasterioError) as error:
         raise ValueError(f'{image}: cannot be read: {error}') from None
     with raster:
         yield raster
