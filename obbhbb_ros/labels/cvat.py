@@ -12,10 +12,11 @@ CVAT XML 1.1 ("CVAT for images"): one file of many images, in pixels.
         <mask label="ship" rle="3, 5, 7" left="80" top="40" width="5" height="3"/>
       </image>
 
-``rotation`` turns a box about its centre, degrees clockwise as seen; a box that is not turned is
-also the reference box. The oriented box of polygons and masks is their minimum rotated rectangle,
-and the polygon or the convex hull of the mask is the hull, unless it has four corners. Other
-shapes, and the tracks of videos, are reported one by one and not read. Attributes are properties.
+``rotation`` turns a box about its centre, degrees clockwise as seen; Datumaro writes it as an
+``attribute``. A box that is not turned is also the reference box. The oriented box of polygons and
+masks is their minimum rotated rectangle, and the polygon or the convex hull of the mask is the
+hull, unless it has four corners. Other shapes, and the tracks of videos, are reported one by one
+and not read. Other attributes are properties.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ from obbhbb_ros.labels.xml_files import read_xml
 
 ROOT = 'annotations'
 BOUNDS = ('xtl', 'ytl', 'xbr', 'ybr')
+ROTATION = 'rotation'
 MAX_DIGITS = 18
 PLACE = ('left', 'top', 'width', 'height')
 
@@ -76,15 +78,22 @@ def _parse(record: Shape) -> shapes.Outlined:
     if element.tag == 'track':
         raise ValueError('tracks of a video are not read: export as "CVAT for images"')
     label = _attribute(element, 'label')
-    box = Box((), label, properties=_properties(element))
+    properties = _properties(element)
+    box = Box((), label, properties=properties)
     if element.tag == 'box':
-        corners, reference = shapes.turned_box(
-            _numbers(element, *BOUNDS), parse_number(element.get('rotation', '0'))
-        )
+        rotation = _rotation(element.get(ROTATION), properties.pop(ROTATION, None))
+        corners, reference = shapes.turned_box(_numbers(element, *BOUNDS), rotation)
         return shapes.Outlined(image, box._replace(corners=corners, reference=reference))
     if element.tag not in RINGS:
         raise ValueError(f'a shape <{element.tag}> is not read: only box, polygon and mask')
     return shapes.Outlined(image, box, [RINGS[element.tag](element)])
+
+
+def _rotation(own: str | None, attribute: str | None) -> float:
+    rotations = {parse_number(text) for text in (own, attribute) if text is not None}
+    if len(rotations) > 1:
+        raise ValueError(f'rotation {own} and an attribute rotation {attribute}: which one holds?')
+    return rotations.pop() if rotations else 0.0
 
 
 def _properties(element: Element) -> dict[str, str]:

@@ -37,6 +37,21 @@ def _cvat(*images: str) -> str:
     )
 
 
+def test_the_rotation_that_datumaro_writes_is_used(put: Put) -> None:
+    attribute = '<attribute name="rotation">30.0</attribute></box>'
+    written = BOX.format(' outside="0" keyframe="0"').replace('</box>', attribute)
+    (labels,) = read_labels(put('a.xml', _cvat(_image(TURNED, written))))
+    np.testing.assert_allclose(labels.corners[0], labels.corners[1])
+    assert np.isnan(labels.reference).all()
+    assert not labels.extras.properties
+
+
+def test_two_rotations_that_differ_are_refused(put: Put) -> None:
+    both = TURNED.replace('</box>', '<attribute name="rotation">31</attribute></box>')
+    with pytest.raises(LabelError, match='and an attribute rotation 31: which one'):
+        list(read_labels(put('a.xml', _cvat(_image(both)))))
+
+
 def test_boxes_polygons_and_masks_are_read(put: Put) -> None:
     path = put('a.xml', _cvat(_image(TURNED, POLYGON, MASK), _image(BOX.format(''), name='b')))
     first, second = read_labels(path)
