@@ -34,6 +34,8 @@ IMAGES = ['pillow>=10.1']
 PEERS = ['supervision>=0.27']
 GEO = ['geopandas>=0.14', 'pyogrio>=0.7', 'pyproj>=3.4', 'rasterio>=1.3']
 ARROW = ['pyarrow>=16.0']
+# What loads our labels in the tests, where it is installed.
+TOOLS = ['pycocotools>=2.0', *PEERS, 'ultralytics>=8.3']
 # What the page on Arrow shows.
 ENGINES = ['duckdb>=1.5', 'dask[dataframe,distributed]>=2024.1']
 PROGRESS = ['tqdm>=4.60']
@@ -82,6 +84,7 @@ setup(
         'images': IMAGES,
         'chips': IMAGES,
         'bench': PEERS,
+        'tools': TOOLS,
         'geo': GEO,
         # What the GeoPandas of Ubuntu 24.04 reads shapefiles with, in place of pyogrio.
         'fiona': ['fiona>=1.9'],

@@ -152,9 +152,9 @@ def _any(head: str) -> bool:
     return True
 
 
-def _header(name: str, *columns: str) -> UnreadFormat:
+def _header(name: str, *columns: str, advice: str = 'export as COCO') -> UnreadFormat:
     """Recognise a CSV table by columns that its first line has."""
-    return UnreadFormat(name, ('.csv',), partial(_has_columns, set(columns)), 'export as COCO')
+    return UnreadFormat(name, ('.csv',), partial(_has_columns, set(columns)), advice)
 
 
 def _has_columns(columns: set[str], head: str) -> bool:
@@ -162,10 +162,12 @@ def _has_columns(columns: set[str], head: str) -> bool:
 
 
 LINES_ADVICE = 'write one JSON document, as COCO or GeoJSON has it'
+SAVE_TXT = 'it does not name the image: write it with save_txt'
 OWN_CODE = 'write its corners as DOTA or CSV'
 UNREAD = (
     _json('Segment Anything (SA-1B) JSON', '{image{', '{annotations['),
     _json('SODA-A JSON', '{images{', '{annotations[', advice='write its poly as segmentation'),
+    _json('JSON of Ultralytics results', '[{box{', '[{confidence', advice=SAVE_TXT),
     _json('CreateML JSON', '[{annotations[{coordinates'),
     _json('VGG Image Annotator JSON', '{_via_img_metadata{'),
     _json('Supervisely JSON', '{objects[', '{size{'),
@@ -185,6 +187,7 @@ UNREAD = (
     UnreadFormat('JSON lines', ('.jsonl', '.ndjson', '.geojsonl', '.geojsons'), _any, LINES_ADVICE),
     _header('Open Images CSV', 'ImageID', 'LabelName', 'XMin'),
     _header('VGG Image Annotator CSV', 'region_shape_attributes'),
+    _header('CSV of Ultralytics results', 'class', 'confidence', 'box', advice=SAVE_TXT),
     UnreadFormat(
         'labelImg_OBB text', ('.txt',), lambda head: head.lstrip().startswith('YOLO_OBB'), OWN_CODE
     ),

@@ -49,6 +49,16 @@ UCAS = '\t'.join(map(str, [*POLY, 30.0, 300, 280, 200, 40]))
             [{'image': 'a.jpg', 'annotations': [{'label': 'x', 'coordinates': {'x': 4}}]}],
             'CreateML',
         ),
+        (
+            'a.json',
+            [{'name': 'ship', 'class': 0, 'confidence': 0.75, 'box': {'x1': 152.1, 'y1': 336.2}}],
+            'JSON of Ultralytics results',
+        ),
+        (
+            'a.csv',
+            'name,class,confidence,box\nship,0,0.75,"{\'x1\': 152.1}"\n',
+            'CSV of Ultralytics results',
+        ),
         ('via.json', {'_via_settings': {}, '_via_img_metadata': {'a': {}}}, 'VGG'),
         ('a.json', {'description': '', 'size': {'height': 8}, 'objects': []}, 'Supervisely'),
         ('a.json', {'filename': '/a.jpg', 'annotations': [{'type': 'box'}]}, 'Dataloop'),
