@@ -170,6 +170,12 @@ UNREAD = (
     _json('JSON of Ultralytics results', '[{box{', '[{confidence', advice=SAVE_TXT),
     _json('CreateML JSON', '[{annotations[{coordinates'),
     _json('VGG Image Annotator JSON', '{_via_img_metadata{'),
+    UnreadFormat(
+        'VGG Image Annotator JSON',
+        ('.json',),
+        lambda head: '"shape_attributes"' in head,
+        'export as COCO',
+    ),
     _json('Supervisely JSON', '{objects[', '{size{'),
     _json('Dataloop JSON', '{annotations[', '{filename'),
     _json('Lightly JSON', '{predictions[', '{file_name'),

@@ -109,9 +109,10 @@ def _of_datumaro(path: Path, form: str) -> Boxes:
     import datumaro as dm
 
     if path.suffix == '.json':
-        # It asks for a folder of this name.
+        # It asks for folders of these names.
         folder = path.parent / 'annotations'
         folder.mkdir(exist_ok=True)
+        (path.parent / 'images').mkdir(exist_ok=True)
         path = Path(shutil.copy(path, folder))
     data = dm.Dataset.import_from(str(path), form)
     names = [category.name for category in data.categories()[dm.AnnotationType.label]]

@@ -158,7 +158,6 @@ for _form, _kind, _carries in (
     ('voc_detection', 'turned', 'rotation'),
     ('cvat', 'turned', 'rotation'),
     ('datumaro', 'turned', 'rotation'),
-    ('datumaro', 'rotated', 'rotation'),
     ('dota', 'rotated', 'rotation'),
     ('coco_instances', 'polygon', 'polygon'),
     ('coco', 'polygon', 'polygon'),
@@ -586,7 +585,7 @@ for _form, _name in (
     _add_globox(_form, _name)
 
 
-@sample('sahi', 'COCO, polygon', 'polygon')
+@sample('sahi', 'COCO, polygon in whole pixels', 'mask')
 def write_sahi(fleet: Fleet, folder: Path) -> Path:
     """Write COCO with polygons."""
     from sahi.utils.coco import Coco

@@ -59,6 +59,11 @@ UCAS = '\t'.join(map(str, [*POLY, 30.0, 300, 280, 200, 40]))
             'name,class,confidence,box\nship,0,0.75,"{\'x1\': 152.1}"\n',
             'CSV of Ultralytics results',
         ),
+        (
+            'via.json',
+            {'P1.png1758': {'regions': [{'shape_attributes': {'name': 'rect', 'x': 5}}]}},
+            'VGG Image Annotator JSON',
+        ),
         ('via.json', {'_via_settings': {}, '_via_img_metadata': {'a': {}}}, 'VGG'),
         ('a.json', {'description': '', 'size': {'height': 8}, 'objects': []}, 'Supervisely'),
         ('a.json', {'filename': '/a.jpg', 'annotations': [{'type': 'box'}]}, 'Dataloop'),
