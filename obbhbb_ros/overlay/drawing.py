@@ -225,7 +225,7 @@ def picture_of(image: WireImage, scale: float = 1.0) -> Any:
         scaled = [max(1, round(side * scale)) for side in size]
         picture = picture.resize(scaled, Image.Resampling.BOX, reducing_gap=1.0)
     # Only now: in full size colours would take three times the memory of grey.
-    return picture.convert('RGB')
+    return picture if picture.mode == 'RGB' else picture.convert('RGB')
 
 
 def _shown(view: ImageView, encoding: str) -> NDArray[np.uint8]:
