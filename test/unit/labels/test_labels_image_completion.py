@@ -111,14 +111,6 @@ def test_images_without_a_size_are_said(put: Put, tmp_path: Path) -> None:
     )
 
 
-def test_labels_on_a_map_take_no_size_in_pixels(put: Put, tmp_path: Path) -> None:
-    ring = '((500000 10, 500040 10, 500040 20, 500000 20, 500000 10))'
-    path = put('P1.csv', f'image,class,wkt\nP1,ship,"SRID=32633;POLYGON {ring}"\n')
-    _picture(tmp_path / 'P1.png')
-    (image,) = _coco(path)[0]['images']
-    assert image == {'id': 1, 'file_name': 'P1'}
-
-
 def test_a_name_that_no_file_can_have_is_no_error(put: Put) -> None:
     header = 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\n'
     path = put('all.csv', f'{header}{"n" * 5000},0,ship,1,2,9,2,9,4,1,4\n')
