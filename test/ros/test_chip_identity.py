@@ -272,7 +272,7 @@ def test_frames_that_differ_are_counted_and_said_once(node: ChipNode) -> None:
         'frame_ids_differ.camera_info': 2,
     }
     for what in ("crop_regions of frame 'left'", "camera_info of frame 'right'"):
-        assert node.process.log.count(f"image of frame 'bow_camera' meet {what}") == 1
+        assert node.process.log.count(f"image of frame 'bow_camera', but {what}") == 1
 
 
 def test_a_region_of_interest_that_is_a_pixel_off_keeps_the_camera(node: ChipNode) -> None:
