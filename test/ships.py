@@ -39,7 +39,7 @@ def fleet(count: int, seed: int = 1) -> FloatArray:
             random.uniform(0.0, 1000.0, (count, 2)),
             random.uniform(20.0, 200.0, count),
             random.uniform(5.0, 60.0, count),
-            random.uniform(-7.0, 7.0, count),
+            random.uniform(-6.2, 6.2, count),
         )
     )
 
