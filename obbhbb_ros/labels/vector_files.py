@@ -41,7 +41,7 @@ def read_features(file: LabelFile, what: str) -> Iterator[ImageLabels]:
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter('always')
-            frame = geopandas.read_file(file.path)
+            frame = geopandas.read_file(file.path, **_engine(file.path))
     except ImportError:
         raise
     except Exception as error:
@@ -67,7 +67,15 @@ def _geometry_column(frame: Any) -> list[str]:
 def _system(frame: Any) -> str | None:
     """Return the reference system; None if there is none, or one of no place on Earth."""
     crs = getattr(frame, 'crs', None)
-    return None if crs is None or crs.is_engineering else str(crs.to_string())
+    # Fiona writes `Undefined geographic SRS` to a GeoPackage whose table names no system.
+    if crs is None or crs.is_engineering or crs.name.startswith('Undefined'):
+        return None
+    return str(crs.to_string())
+
+
+def _engine(path: Path) -> dict[str, Any]:
+    """Return the engine that GeoPandas must use: Fiona reads one of several layers in silence."""
+    return {} if path.suffix.lower() == '.shp' else {'engine': 'pyogrio'}
 
 
 def _record(default_image: str, feature: tuple[dict[str, Any], Any]) -> shapes.Outlined:
@@ -106,7 +114,7 @@ def write_features(
         crs=shapes.only_system(images) or None,
     )
     # An empty file needs the type of geometry, which only pyogrio accepts.
-    empty = {'engine': 'pyogrio', 'geometry_type': 'Polygon'} if frame.empty else {}
+    empty = {'engine': 'pyogrio', 'geometry_type': 'Polygon'} if frame.empty else _engine(path)
     with replacing_all(path, stale) as whole, warnings.catch_warnings():
         # One is about a missing reference system; the other about names that a shapefile shortens.
         warnings.filterwarnings('ignore', message=".*'crs' was not provided", category=UserWarning)
@@ -115,7 +123,7 @@ def write_features(
         try:
             frame.to_file(whole, driver=driver, encoding='UTF-8', **empty, **options)
             # A full disk may only show as missing features.
-            written = len(geopandas.read_file(whole))
+            written = len(geopandas.read_file(whole, **_engine(path)))
         except ImportError:
             raise
         except Exception as error:

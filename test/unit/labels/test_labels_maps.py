@@ -215,7 +215,7 @@ def test_vector_files_keep_fields_and_reference_system(
     _save(_frame(crs), source)
     tally = convert(source, target, HullRule())
     assert (tally.boxes, tally.losses) == (2, '')
-    written = geopandas.read_file(target)
+    written = geopandas.read_file(target, engine='pyogrio')
     assert (written.crs and written.crs.to_string()) == crs
     assert written['mmsi'].tolist() == [219000001, 219000002]
     assert written['flag'][0] == 'DK'
@@ -231,6 +231,21 @@ def test_vector_files_in_degrees_are_converted_on_the_ground(tmp_path: Path, suf
     written = geopandas.read_file(tmp_path / 'out.geojson')
     assert written['length'].tolist() == pytest.approx([130.0, 130.0], rel=2e-3)
     assert written.crs.to_string() in {'OGC:CRS84', 'EPSG:4326'}
+
+
+def test_an_undefined_system_of_a_geopackage_is_none(tmp_path: Path) -> None:
+    fiona = pytest.importorskip('fiona')
+    schema = {'geometry': 'Polygon', 'properties': {'class': 'str'}}
+    ring = [(10.0, 10.0), (110.0, 10.0), (110.0, 30.0), (10.0, 30.0), (10.0, 10.0)]
+    feature = {
+        'geometry': {'type': 'Polygon', 'coordinates': [ring]},
+        'properties': {'class': 'ship'},
+    }
+    with fiona.open(tmp_path / 'in.gpkg', 'w', driver='GPKG', schema=schema) as file:
+        file.write(feature)
+    (labels,) = read_labels(tmp_path / 'in.gpkg')
+    assert labels.extras.label_set.crs == ''
+    assert np.ptp(labels.corners[0], axis=0).tolist() == [100.0, 20.0]
 
 
 def test_a_geopackage_of_several_layers_is_refused(tmp_path: Path) -> None:
