@@ -223,7 +223,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         facts = {
             'chips_waiting': str(
                 sum(map(len, self._plans.waiting))
-                + sum(len(each.planned) for each in self._paired)
+                + sum(len(frame.planned) for frame in self._paired)
                 + (0 if self._work is None else len(self._work.paired.planned))
             ),
             'images_waiting': str(len(self._images.waiting) + len(self._paired)),

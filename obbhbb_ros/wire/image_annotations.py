@@ -189,7 +189,7 @@ class AnnotationWriter:
 
 def _sequence(elements: list[_Pieces]) -> _Pieces:
     """List the pieces of a sequence."""
-    return [struct.pack('<I', len(elements)), *(piece for each in elements for piece in each)]
+    return [struct.pack('<I', len(elements)), *(piece for element in elements for piece in element)]
 
 
 def _rgba(color: tuple[int, int, int]) -> FloatArray:
