@@ -476,7 +476,7 @@ class JoinerSide(Generic[Item, Partner]):
         ]
 
     def _is_settled(self, ours: Stamp, theirs: Stamp, patient_since: float) -> bool:
-        """Return whether no item of the same stamp is waited for any more."""
+        """Return whether the pair need not wait any longer for items of equal stamps."""
         if self._latest > theirs and self._other._latest > ours:
             return True
         arrivals = self.waiting.arrival(ours), self._other.waiting.arrival(theirs)

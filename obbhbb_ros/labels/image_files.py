@@ -32,7 +32,7 @@ _EXACT_MODES = {'L': 'mono8', 'RGB': 'rgb8', 'RGBA': 'rgba8', 'I;16': 'mono16'}
 _WIDER_MODES = ('I', 'I;16B', 'I;16L', 'F')
 # Percent of the pixels of wider images that become black, and white.
 _CLIPPED = 0.5
-# A sample of the pixels says which: of each row and column at most so many.
+# Maximum number of rows, and of columns, of the sample that gives these pixels.
 _MAX_SAMPLES = 1024
 
 

@@ -164,7 +164,7 @@ class FollowingSubscription:
             self.qos, self._retiring = wanted, self._subscription
             self._retiring.callback = self._hand_over
             self._made, self._subscription = time.monotonic(), self._make()
-            # Inputs are served in order, whichever was made anew.
+            # The executor serves inputs in the order in which the node lists them.
             internals.put_before(self._node, self._subscription, self._retiring)
 
     def destroy(self) -> None:
@@ -218,10 +218,8 @@ class FollowingSubscription:
 
     def _drain(self) -> None:
         """Hand over what waits in the old subscription, which was sent before the rest."""
-        old = self._retiring
-        with old.handle:
-            while (taken := old.handle.take_message(old.msg_type, True)) is not None:
-                self._hand_over(*taken)
+        while (taken := internals.take(self._retiring)) is not None:
+            self._hand_over(*taken)
 
     def _receive(self, data: bytes, info: Mapping[str, int]) -> None:
         """Hand over a message of the new subscription."""

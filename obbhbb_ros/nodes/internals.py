@@ -8,6 +8,7 @@ Only this module and `executor.py` use any. Both are written for rclpy 7 (Jazzy)
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Mapping
 from copy import copy
 from typing import Any
 
@@ -45,6 +46,15 @@ def put_before(node: Node, subscription: Subscription, other: Subscription) -> N
     subscriptions = node._subscriptions
     subscriptions.remove(subscription)
     subscriptions.insert(subscriptions.index(other), subscription)
+
+
+def take(subscription: Subscription) -> tuple[bytes, Mapping[str, int]] | None:
+    """Take the next message of a raw subscription, as it came, with its metadata, if any waits."""
+    with subscription.handle:
+        taken: tuple[bytes, Mapping[str, int]] | None = subscription.handle.take_message(
+            subscription.msg_type, True
+        )
+    return taken
 
 
 def state_label(node: LifecycleNode) -> str:

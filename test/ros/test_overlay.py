@@ -265,7 +265,7 @@ def test_annotations_hold_the_layers_with_labels_and_legend(
     start: Callable[..., OverlayNode],
 ) -> None:
     foxglove = pytest.importorskip('foxglove_msgs.msg')
-    # At first nobody looks at anything else.
+    # Nothing else has a subscriber at first.
     node = start(look=False, annotations=True, layers=['boxes', 'detections'], scale=0.5)
     annotations = node.peer.collect(foxglove.ImageAnnotations, 'overlay/annotations')
     publishers = {layer: node.peer.publisher(Detection2DArray, layer) for layer in ROWS}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The camera of an image: by its stamp, or the latest, and how long it is waited for."""
+"""The camera of an image: by its stamp, or the latest, and how long an image waits for it."""
 
 import pytest
 
