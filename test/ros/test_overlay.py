@@ -70,6 +70,8 @@ def shared(site: Site) -> Iterator[OverlayNode]:
 def node(shared: OverlayNode) -> OverlayNode:
     """The module's node, with a sharp picture and all layers published."""
     shared.set({'max_wait': 30.0, 'max_age': 30.0, 'layers': list(LAYER_COLORS), 'scale': 1.0})
+    # What waits from the test before is drawn or overtaken when this one is drawn.
+    shared.picture_of(shared.send(GREY, 'rgb8', **ROWS))
     shared.pictures.clear()
     return shared
 
@@ -160,8 +162,7 @@ def test_layers_without_an_image_and_what_a_later_frame_overtook_are_dropped_and
     before = node.counts()
     node.send_layer('boxes', ROWS['boxes'], node.header())
     node.send(GREY, 'rgb8')
-    later = node.send(GREY, 'rgb8', **ROWS)
-    node.picture_of(later)
+    node.picture_of(node.send(GREY, 'rgb8', **ROWS))
     node.wait(
         lambda: (
             node.counts().since(before, 'frames_dropped.')
@@ -177,13 +178,17 @@ def test_only_complete_frames_are_drawn_if_asked_for_however_slow_the_detector(
 ) -> None:
     node = start(complete_only=True, max_age=60.0)
     node.connect('boxes')
+    # An image that came before its layer was connected waits too.
+    others = node.counts()['frames_waiting'] + 29
     headers = [node.send(GREY, 'rgb8') for _ in range(30)]
-    node.wait(lambda: node.counts()['frames_waiting'] == 30, 'all images')
+    node.wait(lambda: node.counts()['frames_waiting'] == others + 1, 'all images')
     node.send_layer('boxes', ROWS['boxes'], headers[3])
     assert shows(pixels_of(node.picture_of(headers[3])), 'boxes')
     assert len(node.pictures) == 1
     node.set({'max_age': 0.5})
-    node.wait(lambda: node.counts()['frames_dropped.incomplete'] == 29, 'the others to be dropped')
+    node.wait(
+        lambda: node.counts()['frames_dropped.incomplete'] == others, 'the others to be dropped'
+    )
     assert len(node.pictures) == 1
 
 

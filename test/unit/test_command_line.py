@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from obbhbb_ros import __version__
 from obbhbb_ros.cli import main
@@ -167,7 +168,7 @@ LONG = {
     'evaluate': ['evaluate', 'SHIPS', '--bootstrap', '1000000'],
     'calibrate': ['calibrate', 'SHIPS', '--grid', 'wide', '--folds', '200', '--per-class'],
     'report': ['report', 'SHIPS', '--gallery', '10000', '-o', 'OUT.html'],
-    'chips': ['chips'],
+    'chips': ['chips', 'SHIPS'],
 }
 
 
@@ -188,10 +189,18 @@ sys.exit(main())
 """
 
 
+def scattered_row(number: int) -> str:
+    """Lay a ship apart from those before it in its image, so that their chips are not merged."""
+    row = ROW.format(number % 10, number).strip().split(',')
+    at = (97 * number % 4000, 61 * number % 4000)
+    return ','.join([*row[:3], *(str(int(xy) + at[i % 2]) for i, xy in enumerate(row[3:]))]) + '\n'
+
+
 @pytest.mark.parametrize('arguments', LONG.values(), ids=LONG)
 def test_ctrl_c_ends_a_command_silently(ships: Path, arguments: list[str]) -> None:
-    if arguments[0] != 'chips':
-        ships.write_text(HEAD + ''.join(ROW.format(i % 10, i) for i in range(100_000)))
+    ships.write_text(HEAD + ''.join(map(scattered_row, range(100_000))))
+    for i in range(10):
+        Image.new('L', (4096, 4096)).save(ships.with_name(f'P{i}.png'))
     command = [
         {'SHIPS': str(ships)}.get(each, each.replace('OUT', str(ships.with_name('out'))))
         for each in arguments
