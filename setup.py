@@ -41,6 +41,8 @@ ENGINES = ['duckdb>=1.5', 'dask[dataframe,distributed]>=2024.1']
 PROGRESS = ['tqdm>=4.60']
 BAGS = ['rosbags>=0.11.9', 'mcap>=1.2', 'pyyaml>=5.4']
 LINT = ['mypy>=1.8', 'ruff~=0.17.0']
+# Drives a Chromium that is on the machine.
+BROWSER = ['playwright>=1.40']
 # The second is for pip before 24, which cannot find the version that cfdp-py needs by itself.
 CFDP = ['cfdp-py>=0.7', 'fastcrc~=0.3.0']
 
@@ -89,6 +91,7 @@ setup(
         # What the GeoPandas of Ubuntu 24.04 reads shapefiles with, in place of pyogrio.
         'fiona': ['fiona>=1.9'],
         'arrow': ARROW,
+        'browser': BROWSER,
         'progress': PROGRESS,
         'bags': BAGS,
         'test': [
