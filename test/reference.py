@@ -124,11 +124,10 @@ def with_box(
 
 
 def without_boxes(message: Any, count: int) -> Detection2DArray:
-    """Make detections of polygons: their header is that of the message, their id their index."""
+    """Make detections of polygons: their header is that of the message, they have no id."""
     nan = float('nan')
     detections = [
-        with_box(Detection2D(header=message.header, id=str(i)), nan, nan, nan, nan)
-        for i in range(count)
+        with_box(Detection2D(header=message.header), nan, nan, nan, nan) for _ in range(count)
     ]
     return Detection2DArray(header=message.header, detections=detections)
 

@@ -124,7 +124,7 @@ class InputType:
     class_id, score : str
         Paths of these fields; without them, detections have no hypothesis.
     id : str
-        Path of the id; without one, the id of a detection is its index in the message.
+        Path of the id; without one, detections have an empty id: an index would name no ship.
     box : str
         Path of the first number of the box: x, y, theta, size along theta, size across it.
         Without one, the box is that around the vertices.

@@ -108,7 +108,7 @@ def as_detections(
     header, count = buffer.words[: index.header_words], index.count
     if count * len(header) > _MAX_HEADERS * len(buffer.words):
         raise WireError(f'{count} elements with a header of {4 * len(header)} bytes each')
-    ids = _strings(buffer.words, index.places(input_type.id)) if input_type.id else _numbered(count)
+    ids = _strings(buffer.words, index.places(input_type.id)) if input_type.id else _empty(count)
     classes = None
     if input_type.class_id:
         classes = _strings(buffer.words, index.places(input_type.class_id))
@@ -145,11 +145,9 @@ def _strings(source: Words, places: IntArray) -> _Strings:
     return _Strings(source, places, source[places >> 2].astype(np.int64) + 7 >> 2)
 
 
-def _numbered(count: int) -> _Strings:
-    """Write the index of each element as a string."""
-    texts = [text_bytes(str(number).encode()) for number in range(count)]
-    sizes = np.array([len(text) for text in texts], np.int64)
-    return _strings(np.frombuffer(b''.join(texts), '<u4'), sizes.cumsum() - sizes)
+def _empty(count: int) -> _Strings:
+    """Write an empty string for each element."""
+    return _strings(np.frombuffer(text_bytes(b''), '<u4'), np.zeros(count, np.int64))
 
 
 def _copy(strings: _Strings, target: Words, places: IntArray) -> None:

@@ -144,11 +144,11 @@ def test_a_collection_becomes_the_boxes_of_its_minimum_rectangles(polygons_node:
     np.testing.assert_array_equal(answer, axis_aligned(OrientedBoxes.from_polygons(SHAPES)))
 
 
-def test_polygons_are_known_by_their_place(polygons_node: Converter) -> None:
+def test_boxes_of_polygons_have_no_id_as_their_row_names_no_ship(polygons_node: Converter) -> None:
     message = collection(SHAPES)
     answer = polygons_node.convert(message)
     assert answer.header == message.header
-    assert [detection.id for detection in answer.detections] == [str(i) for i in range(len(SHAPES))]
+    assert [detection.id for detection in answer.detections] == [''] * len(SHAPES)
     assert all(detection.header == message.header for detection in answer.detections)
     assert not any(detection.results for detection in answer.detections)
 
@@ -179,7 +179,7 @@ def test_a_stamped_polygon_becomes_one_box(polygon_node: Converter) -> None:
     answer = polygon_node.convert(message)
     assert answer.header == message.header
     assert [(detection.id, detection.header) for detection in answer.detections] == [
-        ('0', message.header)
+        ('', message.header)
     ]
 
 
