@@ -49,7 +49,7 @@ def map_images(
     first = list(islice(remaining, BLOCK))
     system = crs()
     if system is None:
-        system = LONGITUDE_LATITUDE if _looks_like_degrees(first) else ''
+        system = probable_system(first)
     in_degrees = is_geographic(file, system)
     everything: Iterator[Record[shapes.Outlined]] = chain(first, remaining)
     if in_degrees:
@@ -58,13 +58,13 @@ def map_images(
     yield from file.images(images, LabelSet(crs=system, in_degrees=in_degrees))
 
 
-def _looks_like_degrees(records: Iterable[Record[shapes.Outlined]]) -> bool:
+def probable_system(records: Iterable[Record[shapes.Outlined]]) -> str:
+    """Return the system of features of a file that names none: degrees, or '' for pixels."""
     rings = [ring for _, _, record in records for ring in record.rings if len(ring)]
-    if not rings:
-        return False
-    points = np.concatenate(rings)
-    within = bool((np.abs(points) <= (360.0, 90.0)).all())
-    return within and max(np.ptp(ring, axis=0).max() for ring in rings) < LARGEST_SHIP_DEGREES
+    if not rings or not (np.abs(np.concatenate(rings)) <= (360.0, 90.0)).all():
+        return ''
+    largest = max(np.ptp(ring, axis=0).max() for ring in rings)
+    return LONGITUDE_LATITUDE if largest < LARGEST_SHIP_DEGREES else ''
 
 
 def _projected(record: shapes.Outlined) -> shapes.Outlined:

@@ -9,8 +9,8 @@ as in GeoJSON. Other columns are kept. Rows without an image name belong to an i
 file.
 
 From Parquet to Parquet, rows keep their order, and columns their types; only a batch of rows is in
-memory. GeoParquet is written with the box as geometry, and its reference system. Files in degrees
-are refused: boxes are aligned with the axes, which need the same unit.
+memory; but in degrees, see `obbhbb_ros.labels.maps`, they are ordered by image. GeoParquet is
+written with the box as geometry, and its reference system.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -34,14 +35,14 @@ import shapely
 from numpy.typing import NDArray
 
 from obbhbb_ros.files import replacing
+from obbhbb_ros.geometry.boxes import BLOCK
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.converter import Caps
 from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.labels import maps
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels.documents import plain_text
-from obbhbb_ros.labels.extras import NO_SET
 from obbhbb_ros.labels.extras import Extras
-from obbhbb_ros.labels.extras import LabelSet
 from obbhbb_ros.labels.extras import columns_of
 from obbhbb_ros.labels.image_grouper import ImageGrouper
 from obbhbb_ros.labels.image_labels import DIAGNOSTICS
@@ -65,8 +66,9 @@ class ParquetColumns(NamedTuple):
     What the columns of a file hold.
 
     `shape` names the eight columns of corners, the four of bounds or the one of polygons; the
-    others are the names of columns, '' for none. `system` is the reference system as PROJJSON, if
-    there is one.
+    others are the names of columns, '' for none. `system` is the reference system as PROJJSON; None
+    for pixels, or if the file names none. `crs` is the same as GIS libraries take it, '' for pixels
+    and None if the file does not say.
     """
 
     shape: tuple[str, ...]
@@ -76,16 +78,7 @@ class ParquetColumns(NamedTuple):
     score: str
     others: tuple[str, ...]
     system: dict[str, Any] | None
-
-    @property
-    def label_set(self) -> LabelSet:
-        """The reference system as GIS libraries take it."""
-        if self.system is None:
-            return NO_SET
-        number = self.system.get('id')
-        if isinstance(number, dict) and {'authority', 'code'} <= number.keys():
-            return LabelSet(crs=f'{number["authority"]}:{number["code"]}')
-        return LabelSet(crs=json.dumps(self.system))
+    crs: str | None
 
 
 Batch: TypeAlias = tuple[Sequence[int], Any]
@@ -137,8 +130,10 @@ def _layout(file: LabelFile, schema: Any) -> ParquetColumns:
     instance, score = _role(names, shapes.INSTANCE), _role(names, shapes.SCORE)
     own = {*shape, image, class_id, instance, score}
     others = tuple(name for name in names if name not in own)
-    system = _system(file, geo['columns'][geometry]) if geo and shape == (geometry,) else None
-    return ParquetColumns(shape, image, class_id, instance, score, others, system)
+    system, crs = None, '' if shape != (geometry,) else None
+    if geo and crs is None:
+        system, crs = _system(file, geo['columns'][geometry])
+    return ParquetColumns(shape, image, class_id, instance, score, others, system, crs)
 
 
 def _role(names: Sequence[str], wanted: Sequence[str]) -> str:
@@ -160,18 +155,20 @@ def _geo(file: LabelFile, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
     return dict(geo)
 
 
-def _system(file: LabelFile, column: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return the reference system of a geometry; degrees are an error."""
+def _system(file: LabelFile, column: Mapping[str, Any]) -> tuple[dict[str, Any] | None, str | None]:
+    """Return the reference system of a geometry as PROJJSON and as GIS libraries take it."""
     # As the standard has it, none given means longitude and latitude, and null an unknown one.
-    system = column.get('crs', {'type': 'GeographicCRS'})
+    if 'crs' not in column:
+        return None, maps.LONGITUDE_LATITUDE
+    system = column['crs']
     if system is None:
-        return None
-    if not isinstance(system, dict) or 'Geographic' in str(system.get('type')):
-        raise file.error(
-            'the geometry is in degrees: convert it to a projected system first, such as UTM, '
-            'with GeoDataFrame.to_crs'
-        )
-    return system
+        return None, None
+    if not isinstance(system, dict):
+        raise file.error('not GeoParquet: the reference system of the geometry is no PROJJSON')
+    number = system.get('id')
+    if isinstance(number, dict) and {'authority', 'code'} <= number.keys():
+        return system, f'{number["authority"]}:{number["code"]}'
+    return system, json.dumps(system)
 
 
 def _images(
@@ -179,7 +176,7 @@ def _images(
 ) -> Iterator[ImageLabels]:
     if len(layout.shape) == 1:
         records = file.parse_records(_records(layout, batches), partial(_record, file, layout))
-        yield from file.images(shapes.enclose(file, records), layout.label_set)
+        yield from maps.map_images(file, records, lambda: layout.crs)
         return
     images = ImageGrouper()
     for numbers, batch in batches:
@@ -255,7 +252,6 @@ def _table(
         source=file.path,
         extras=Extras(
             properties={name: tuple(batch[name].to_pylist()) for name in layout.others},
-            label_set=layout.label_set,
         ),
     )
 
@@ -276,17 +272,34 @@ def rewrite(
     Convert a file to another one batch by batch; rows keep their order, other columns their types.
 
     `refused` gets the labels of rows that can be read and not converted. Returns the number of
-    images and of boxes; if there is no box, nothing is written. None if the boxes are not oriented.
+    images and of boxes; if there is no box, nothing is written. None if the boxes are not oriented,
+    or in degrees.
     """
     with _opened(file) as (layout, batches):
-        if layout.shape == BOUNDS:
+        first = next(batches, None)
+        if layout.shape == BOUNDS or _in_degrees(file, layout, first):
             return None
-        rewriting = _Rewriting(file, layout, rule, caps, refused)
-        converted = filter(len, map(rewriting.convert, batches))
-        first = next(converted, None)
-        if first is not None:
-            _write_batches(target, first.schema, chain([first], converted), layout.system)
+        in_units = layout._replace(crs=layout.crs or '')
+        rewriting = _Rewriting(file, in_units, rule, caps, refused)
+        everything = chain([] if first is None else [first], batches)
+        converted = filter(len, map(rewriting.convert, everything))
+        start = next(converted, None)
+        if start is not None:
+            _write_batches(target, start.schema, chain([start], converted), layout.system)
     return len(rewriting.images), rewriting.boxes
+
+
+def _in_degrees(file: LabelFile, layout: ParquetColumns, batch: Batch | None) -> bool:
+    """Tell whether the boxes are in degrees: by the first rows, if the file does not say."""
+    if layout.system is not None and layout.system.get('type') == 'ProjectedCRS':
+        # Known without the extra `geo`.
+        return False
+    system = layout.crs
+    if system is None and batch is not None:
+        silent = replace(file, on_error=lambda _: None)
+        rows = _records(layout, [(batch[0], batch[1].slice(0, BLOCK))])
+        system = maps.probable_system(silent.parse_records(rows, partial(_record, file, layout)))
+    return maps.is_geographic(file, system or '')
 
 
 class _Rewriting:
@@ -329,11 +342,9 @@ class _Rewriting:
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
     import pyarrow as pa
 
-    systems = {image.extras.label_set.crs for image in images} - {''}
-    if len(systems) > 1:
-        raise ValueError(f'one file holds one reference system, not {", ".join(sorted(systems))}')
+    crs = shapes.only_system(images)
     table = pa.table({name: _array(values) for name, values in _columns(images).items()})
-    _write_batches(path, table.schema, table.to_batches(BATCH_ROWS), _projjson(*systems))
+    _write_batches(path, table.schema, table.to_batches(BATCH_ROWS), _projjson(crs))
 
 
 def _columns(images: Sequence[ImageBoxes]) -> dict[str, Any]:
@@ -365,9 +376,12 @@ def _array(values: Any) -> Any:
         return pa.array([None if value is None else plain_text(value) for value in values])
 
 
-def _projjson(crs: str = '') -> dict[str, Any] | None:
+def _projjson(crs: str) -> dict[str, Any] | None:
+    """Return a reference system as GeoParquet names it: not at all for longitude and latitude."""
     if not crs:
         return None
+    if crs == maps.LONGITUDE_LATITUDE:
+        return {}
     import pyproj
 
     return dict(pyproj.CRS.from_user_input(crs).to_json_dict())
@@ -382,7 +396,8 @@ def _write_batches(
 
     schema = schema.remove_metadata()
     if system is not None:
-        column = {'encoding': 'WKB', 'geometry_types': ['Polygon'], 'crs': system}
+        named = {'crs': system} if system else {}
+        column = {'encoding': 'WKB', 'geometry_types': ['Polygon'], **named}
         geo = {'version': '1.0.0', 'primary_column': 'geometry', 'columns': {'geometry': column}}
         schema = schema.append(pa.field('geometry', pa.binary()))
         schema = schema.with_metadata({'geo': json.dumps(geo)})

@@ -25,7 +25,9 @@ BOX = (20.0, 30.0, 80.0, 30.0, 80.0, 50.0, 20.0, 50.0)
 POLYGON = 'POLYGON ((20 30, 80 30, 80 50, 20 50, 20 30))'
 ID = {'authority': 'EPSG', 'code': 32632}
 UTM = {'type': 'ProjectedCRS', 'name': 'WGS 84 / UTM zone 32N', 'id': ID}
-GEOGRAPHIC = {'type': 'GeographicCRS', 'name': 'WGS 84'}
+CRS84 = {'type': 'GeographicCRS', 'id': {'authority': 'OGC', 'code': 'CRS84'}}
+WGS84 = {'type': 'GeographicCRS', 'id': {'authority': 'EPSG', 'code': 4326}}
+SHIP_IN_DEGREES = 'POLYGON ((10.0 60,10.003 60.002,10.0032 60.0018,10.0002 59.9998,10.0 60))'
 
 
 def put_rows(path: Path, rows: int = 1, **columns: Any) -> Path:
@@ -106,10 +108,37 @@ def test_geoparquet_is_read_with_its_reference_system(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize('column', [{}, {'crs': GEOGRAPHIC}, {'crs': 'EPSG:4326'}])
-def test_degrees_are_refused_with_the_remedy(tmp_path: Path, column: dict[str, Any]) -> None:
-    path = put_geo(tmp_path / 'a.parquet', POLYGON, **column)
-    with pytest.raises(LabelError, match='in degrees: convert it to a projected system first'):
+@pytest.mark.parametrize('column', [{}, {'crs': CRS84}, {'crs': WGS84}, {'crs': None}])
+def test_degrees_give_the_box_that_geojson_in_degrees_gives(
+    tmp_path: Path, column: dict[str, Any]
+) -> None:
+    source, target = tmp_path / 'in.parquet', tmp_path / 'out.parquet'
+    put_geo(source, SHIP_IN_DEGREES, None, **column)
+    ring = [
+        [float(number) for number in pair.split()] for pair in SHIP_IN_DEGREES[10:-2].split(',')
+    ]
+    geometry = {'type': 'Polygon', 'coordinates': [ring]}
+    feature = {'type': 'Feature', 'properties': {}, 'geometry': geometry}
+    (tmp_path / 'in.geojson').write_text(json.dumps(feature))
+    assert convert(source, target) == convert(tmp_path / 'in.geojson', tmp_path / 'b.csv') == 0
+    (row,) = parquet.read_table(target).to_pylist()
+    (labels,) = read_labels(tmp_path / 'b.csv')
+    assert [row[name] for name in BOUNDS] == labels.reference[0].tolist()
+    assert row['mmsi'] == 0
+    assert shapely.from_wkb(row['geometry']).bounds == tuple(labels.reference[0])
+
+
+def test_geoparquet_in_degrees_has_its_reference_system_again(tmp_path: Path) -> None:
+    geopandas = pytest.importorskip('geopandas')
+    frame = geopandas.GeoDataFrame(geometry=shapely.from_wkt([SHIP_IN_DEGREES]), crs='EPSG:4326')
+    frame.to_parquet(tmp_path / 'in.parquet')
+    assert convert(tmp_path / 'in.parquet', tmp_path / 'out.parquet') == 0
+    assert geopandas.read_parquet(tmp_path / 'out.parquet').crs == 'EPSG:4326'
+
+
+def test_a_reference_system_that_is_no_projjson_is_an_error(tmp_path: Path) -> None:
+    path = put_geo(tmp_path / 'a.parquet', POLYGON, crs='EPSG:4326')
+    with pytest.raises(LabelError, match='the reference system of the geometry is no PROJJSON'):
         list(read_labels(path))
 
 
