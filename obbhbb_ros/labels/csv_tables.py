@@ -8,14 +8,13 @@ With corners::
     P0706,0,ship,284,466,274,456,300,427,310,439,278,429,307,461,301 429;300 430;299 430
 
 The header gives the order of the columns; other columns are kept, ``crowd`` (0 or 1) and
-``difficulty`` as such. ``hx1`` to ``hy2``, the
-reference box, may be empty or absent; so may ``mask``, the hull polygon, and ``score``, which is
-then 1. A row is one line, quoted fields included, so that a stray quote damages one row and not
-the rest of the file. A row with only an image name is an image without boxes. The eight
-corners may be replaced by ``x_min,y_min,x_max,y_max``, as `obbhbb convert` writes them: the box is
-then upright and also the reference box; by ``cx,cy,w,h`` and ``angle_deg`` or ``angle_rad``, from x
-towards y, along ``w``; or by ``xyxyxyxy``, a list, as supervision writes it. Upper and lower case
-are the same, and columns may have the names that other tools give them, see `table_columns`.
+``difficulty`` as such. ``hx1`` to ``hy2``, the reference box, may be empty or absent; so may
+``mask``, the hull polygon, and ``score``, which is then 1. Quoted fields may have line breaks, see
+`table_rows`. A row with only an image name is an image without boxes. The eight corners may be
+replaced by ``x_min,y_min,x_max,y_max``, as `obbhbb convert` writes them: the box is then upright
+and also the reference box; by ``cx,cy,w,h`` and ``angle_deg`` or ``angle_rad``, from x towards y,
+along ``w``; or by ``xyxyxyxy``, a list, as supervision writes it. Upper and lower case are the
+same, and columns may have the names that other tools give them, see `table_columns`.
 
 With a column of WKT::
 
@@ -80,6 +79,8 @@ from obbhbb_ros.labels.table_columns import NAMES
 from obbhbb_ros.labels.table_columns import REFERENCE
 from obbhbb_ros.labels.table_columns import box_columns
 from obbhbb_ros.labels.table_columns import has_boxes
+from obbhbb_ros.labels.table_rows import row_blocks
+from obbhbb_ros.labels.table_rows import table_rows
 
 BOX_COLUMNS = (*NAMES, 'score', *BOUNDS)
 MARKS = ('crowd', 'difficulty')
@@ -94,7 +95,7 @@ SRID = re.compile(r'\s*SRID\s*=\s*(\d{1,9})\s*;', re.IGNORECASE)
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
-    blocks = text.filled_blocks(file)
+    blocks = row_blocks(file)
     numbers, lines = next(blocks, ((), ('',)))
     _, (columns, shape) = _header(file, lines[0], next(iter(numbers), None), box_columns)
     rest = chain([(numbers[1:], lines[1:])], blocks)
@@ -133,7 +134,7 @@ def _read_rows(
     file: LabelFile, parser_for: Callable[[list[str]], Callable[[list[str]], Item]]
 ) -> Iterator[Record[Item]]:
     """Parse the rows below a header; `parser_for` makes the row parser from the column names."""
-    lines = text.filled_lines(file)
+    lines = table_rows(file)
     number, _, header = next(lines, (None, '', ''))
     columns, parse = _header(file, header, number, parser_for)
 
@@ -384,22 +385,16 @@ def _table_lines(
 
 
 def _join_rows(columns: Sequence[Sequence[str]]) -> str:
-    """Join columns of N fields to N lines; ValueError if a row would not be one line."""
+    """Join columns of N fields to N rows."""
     lines = list(map(','.join, zip(*columns, strict=True)))
     joined = '\n'.join(lines)
     commas, breaks = (len(columns) - 1) * len(lines), len(lines) - 1
     if joined.count(',') == commas and joined.count('\n') == breaks and not QUOTED.search(joined):
         return joined
-    return '\n'.join(map(_join_row, zip(*columns, strict=True)))
-
-
-def _join_row(fields: Sequence[str]) -> str:
-    row = io.StringIO()
-    csv.writer(row, lineterminator='').writerow(fields)
-    line = row.getvalue()
-    if '\n' in line or '\r' in line:
-        raise ValueError(f'a table row must be one line, but this one has a line break: {line!r}')
-    return line
+    rows = io.StringIO()
+    # With these ends, it puts both kinds of line break in quotes.
+    csv.writer(rows, lineterminator='\r\n').writerows(zip(*columns, strict=True))
+    return rows.getvalue().replace('\r\n', '\n').removesuffix('\n')
 
 
 def _sniff(head: str) -> bool:

@@ -47,6 +47,7 @@ from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_file import Record
 from obbhbb_ros.labels.label_format import Format
+from obbhbb_ros.labels.table_rows import table_rows
 
 JSON_PATHS = ('[{data{', '[{annotation_id', '[{annotations[{result', '[{original_width')
 TABLE_COLUMNS = {'annotation_id', 'lead_time'}
@@ -111,7 +112,7 @@ def _json_tasks(file: LabelFile) -> Iterator[Record[Any]]:
 
 def _table_rows(file: LabelFile) -> Iterator[Record[dict[str, Any]]]:
     """Read rows as the members of JSON-MIN; a field that holds a JSON array is one."""
-    lines = text.filled_lines(file)
+    lines = table_rows(file, lambda header: _columns(header)[0])
     number, _, header = next(lines, (None, '', ''))
     separator, columns = _columns(header)
     if not set(columns) >= TABLE_COLUMNS:

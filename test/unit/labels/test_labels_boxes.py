@@ -230,7 +230,6 @@ def test_yolo_classes_are_numbered_by_a_file_beside_the_labels(put: Put, tmp_pat
         ('yolo', {'scores': [7.0]}, 'not within 0..1'),
         ('voc', {'image': 'a\x01'}, 'XML cannot hold'),
         ('csv', {'image': ''}, 'without a name'),
-        ('csv', {'ids': ('a\nb',)}, 'line break'),
         ('shapefile', {'image': 'x' * 255}, 'too long for a shapefile'),
     ],
 )
