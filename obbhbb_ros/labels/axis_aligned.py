@@ -67,6 +67,8 @@ class LabelTally:
         Boxes that end at the border of their image, as they do not in the labels.
     in_degrees : int
         Boxes in degrees, which were computed in metres on the ground.
+    placed : int
+        Boxes in a map, which were placed in the pixels of their image.
     losses : str
         What the labels say and the format that is written cannot hold; '' for nothing.
     """
@@ -79,6 +81,7 @@ class LabelTally:
     reordered: int = 0
     cut: int = 0
     in_degrees: int = 0
+    placed: int = 0
     losses: str = ''
 
     @property
@@ -102,6 +105,7 @@ class LabelTally:
             f'{f", {self.reordered} with crossed corners put in order" if self.reordered else ""}'
             f'{f", {self.cut} cut at the border of the image" if self.cut else ""}'
             f'{f", {self.in_degrees} in degrees computed in metres" if self.in_degrees else ""}'
+            f'{f", {self.placed} placed in the pixels of their image" if self.placed else ""}'
             f'{f"{chr(10)}not held by {self.losses}" if self.losses else ""}'
         )
 
@@ -196,10 +200,11 @@ def convert_labels(
     """
     done: list[ImageBoxes] = []
     reasons: Counter[str] = Counter()
-    bows = reordered = in_degrees = 0
+    bows = reordered = in_degrees = placed = 0
     for labels in images:
         converted = convert(labels)
         in_degrees += labels.extras.label_set.in_degrees * len(converted.boxes.class_ids)
+        placed += labels.extras.label_set.placed * len(converted.boxes.class_ids)
         done.append(converted.boxes)
         bows += converted.bows
         reordered += converted.reordered
@@ -207,8 +212,10 @@ def convert_labels(
         for row, reason in converted.left_out.items():
             report(f'{labels.source}: image {labels.image!r}: box {row + 1} left out: {reason}')
     boxes = sum(len(image.class_ids) for image in done)
-    tally = LabelTally(len(done), boxes, dict(reasons), 0, bows, reordered, in_degrees=in_degrees)
-    return done, tally
+    left_out = dict(reasons)
+    return done, LabelTally(
+        len(done), boxes, left_out, 0, bows, reordered, in_degrees=in_degrees, placed=placed
+    )
 
 
 def convert_file(

@@ -35,6 +35,9 @@ class LabelSet:
     in_degrees : bool
         Whether `crs` is in degrees, and the coordinates of `ImageLabels` are in the plane of
         `obbhbb_ros.labels.degrees`.
+    placed : bool
+        Whether the labels were in a map, and were placed in the pixels of the image beside them,
+        whose size they have.
     class_names : tuple of str
         The names of class numbers, '' for a number without one, where the format has numbers.
     others : tuple of str
@@ -44,6 +47,7 @@ class LabelSet:
     categories: Mapping[str, Id] = field(default_factory=dict)
     crs: str = ''
     in_degrees: bool = False
+    placed: bool = False
     class_names: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
 

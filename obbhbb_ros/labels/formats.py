@@ -373,12 +373,15 @@ def write_boxes(
     path: str | os.PathLike[str],
     images: Iterable[ImageBoxes],
     format: str | None = None,  # noqa: A002
+    variant: str | None = None,
 ) -> None:
     """
     Write axis-aligned boxes to a file or, in formats with one file per image, to a folder.
 
-    Parameters and errors are those of `write_labels`; it is also an error if the images have
-    diagnostics and the format cannot hold them. Names, ids and scores it cannot hold are left out.
+    Parameters and errors are those of `write_labels`; `variant` is one of `Format.variants`, by
+    name, a way of writing the format that some tools need. It is also an error if there is no such
+    variant, or if the images have diagnostics and the format cannot hold them. Names, ids and
+    scores it cannot hold are left out.
 
     Examples
     --------
@@ -399,9 +402,7 @@ def write_boxes(
     path = Path(path)
     images = list(images)
     diagnosed = any(image.diagnostics is not None for image in images)
-    write = box_format(path, format, diagnosed).write_boxes
-    assert write is not None
-    write(path, images)
+    box_format(path, format, diagnosed).box_writer(variant)(path, images)
 
 
 def box_format(path: Path, name: str | None, diagnosed: bool = False) -> Format:

@@ -12,9 +12,10 @@ Coordinates are pixels, or in the reference system of ``crs``, which is written 
 they are in degrees, as the standard has it, if the ships are smaller than a tenth of a unit, see
 `obbhbb_ros.labels.maps`. Boxes are aligned with the axes of the system. All other properties are
 kept. The oriented box is the minimum rotated rectangle of the polygon, or of all parts of a
-multi-polygon; four corners are a box. Features that name no image belong to an image named after
-the file. Images without boxes have no feature: a file without features is read as one image without
-boxes.
+multi-polygon; four corners are a box. The ``id`` of a feature is that of its box, or the property
+``feature_id`` if the properties have an id, too. Features that name no image belong to an image
+named after the file. Images without boxes have no feature: a file without features is read as one
+image without boxes.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels.documents import json_member
 from obbhbb_ros.labels.documents import json_properties
 from obbhbb_ros.labels.documents import numbered
+from obbhbb_ros.labels.documents import plain_text
 from obbhbb_ros.labels.documents import read_json
 from obbhbb_ros.labels.image_labels import ImageBoxes
 from obbhbb_ros.labels.image_labels import ImageLabels
@@ -41,6 +43,7 @@ from obbhbb_ros.labels.label_format import Format
 
 MARKS = ('"FeatureCollection"', '"Feature"')
 POLYGONS = ('Polygon', 'MultiPolygon')
+FEATURE_ID = 'feature_id'
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
@@ -105,9 +108,22 @@ def _record(default_image: str, feature: Any) -> shapes.Outlined:
     properties = json_member(feature, 'properties') or {}
     if not isinstance(properties, dict):
         raise ValueError("'properties' is not a JSON object")
-    # An id in the properties is the user's; the one of the feature may be a running number.
     rings, fields = _rings(geometry), json_properties(properties, ())
-    return shapes.feature_record(default_image, fields, rings, feature.get('id'))
+    record = shapes.feature_record(default_image, fields, rings, feature.get('id'))
+    return _with_feature_id(record, feature.get('id'))
+
+
+def _with_feature_id(record: shapes.Outlined, identifier: object) -> shapes.Outlined:
+    """Keep the id of a feature as a property if a property is the id of its box."""
+    # An id in the properties is the user's; the one of the feature may be a running number.
+    box = record.box
+    if plain_text(identifier) in ('', box.id):
+        return record
+    name = FEATURE_ID
+    while name in box.properties:
+        name += '_'
+    properties = {**box.properties, **json_properties({name: identifier}, ())}
+    return record._replace(box=box._replace(properties=properties))
 
 
 def _rings(geometry: object) -> list[FloatArray]:

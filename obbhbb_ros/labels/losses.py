@@ -142,7 +142,8 @@ def _counts(image: ImageBoxes) -> dict[Part, int]:
         if extras.difficulty is None
         else int(np.count_nonzero(extras.difficulty)),
         'images without boxes': int(not image.class_ids),
-        'image sizes': int(image.size is not None),
+        # That of labels in a map is from the image.
+        'image sizes': int(image.size is not None and not extras.label_set.placed),
         'image ids': int(extras.image_id is not None),
         'file names': int(extras.file_name not in ('', image.file_name)),
         'image suffixes': int(image.file_name != image.image),

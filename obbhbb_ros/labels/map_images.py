@@ -96,7 +96,9 @@ def in_pixels(labels: ImageLabels, image: Path) -> ImageLabels:
         reference=_upright(place.pixels_of(_corners_of(labels.reference)).reshape(count, 4, 2)),
         hulls=tuple(None if hull is None else place.pixels_of(hull) for hull in labels.hulls),
         size=size,
-        extras=replace(labels.extras, label_set=replace(labels.extras.label_set, crs='')),
+        extras=replace(
+            labels.extras, label_set=replace(labels.extras.label_set, crs='', placed=True)
+        ),
     )
 
 

@@ -235,6 +235,9 @@ def test_formats_in_pixels_get_the_boxes_of_the_image(
         path, out, HullRule('outer'), target_format=target, source_format='geojson', report=print
     )
     assert 'reference system' not in tally.losses
+    # The size is that of the image.
+    assert 'image size' not in tally.losses
+    assert f'{len(SHIPS)} placed in the pixels of their image' in str(tally)
     (written,) = read_labels(out, target, image_size=(WIDTH, HEIGHT))
     expected = np.hstack((SHIPS.min(axis=1), SHIPS.max(axis=1)))
     np.testing.assert_allclose(written.reference, expected, atol=0.01)

@@ -20,6 +20,7 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_boxes
 from obbhbb_ros.labels.axis_aligned import LabelTally
 from obbhbb_ros.labels.axis_aligned import convert_file
+from obbhbb_ros.labels.axis_aligned import convert_image
 
 if TYPE_CHECKING:
     from conftest import Put
@@ -182,6 +183,16 @@ def test_coco_with_rectangles_as_segmentation(put: Put, tmp_path: Path) -> None:
     (labels,) = read_labels(target)
     np.testing.assert_array_equal(labels.reference, [[10, 20, 50, 30]] * 2)
     assert labels.hulls == (None, None)
+
+
+def test_boxes_are_written_as_a_variant_from_python(put: Put, tmp_path: Path) -> None:
+    (labels,) = read_labels(put('P1.txt', SHIP))
+    boxes = [convert_image(labels, HullRule('outer')).boxes]
+    write_boxes(tmp_path / 'a.json', boxes, 'coco', variant='rectangles')
+    (annotation,) = json.loads((tmp_path / 'a.json').read_text())['annotations']
+    assert annotation['segmentation'] == [[10, 20, 50, 20, 50, 30, 10, 30]]
+    with pytest.raises(ValueError, match="'csv' has no variant 'rectangles': it has none"):
+        write_boxes(tmp_path / 'a.csv', boxes, variant='rectangles')
 
 
 def test_an_unknown_variant_is_refused_before_anything_is_read(tmp_path: Path) -> None:

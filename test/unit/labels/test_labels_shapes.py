@@ -57,6 +57,25 @@ def test_a_feature_may_have_only_a_polygon(put: Put) -> None:
     assert labels.scores.tolist() == [1.0]
 
 
+@pytest.mark.parametrize(
+    ('properties', 'instance', 'kept'),
+    [
+        ({}, '7', {}),
+        ({'id': 12}, '12', {'id': 12, 'feature_id': 7}),
+        ({'id': 7.0}, '7', {'id': 7.0}),
+        ({'instance': 'x'}, 'x', {'feature_id': 7}),
+        ({'id': 12, 'feature_id': 3}, '12', {'id': 12, 'feature_id': 3, 'feature_id_': 7}),
+    ],
+)
+def test_the_id_of_a_feature_is_kept_beside_that_of_its_properties(
+    put: Put, properties: dict[str, Any], instance: str, kept: dict[str, Any]
+) -> None:
+    feature = _feature([TILTED], **properties) | {'id': 7}
+    (labels,) = read_labels(put('scene.geojson', _collection(feature)))
+    assert labels.ids == (instance,)
+    assert {name: values[0] for name, values in labels.extras.properties.items()} == kept
+
+
 def test_more_than_four_corners_are_a_hull_and_holes_are_part_of_it(put: Put) -> None:
     (labels,) = read_labels(put('a.geojson', _collection(_feature([HULL, HOLE]))))
     assert labels.hulls[0] is not None
