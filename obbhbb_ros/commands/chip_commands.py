@@ -132,14 +132,14 @@ def add_gallery_options(parser: ArgumentParser) -> None:
         type=int,
         default=0,
         metavar='N',
-        help='maximum number of chips to show, the most valuable first; default: 0, all',
+        help='maximum number of ships to show, the most valuable first; default: 0, all',
     )
 
 
 def run_gallery(options: Namespace) -> None:
-    """Show what came down: the chips of an outbox, most valuable first, on one HTML page."""
+    """Show what came down: the chips of an outbox by ship, best first, on one HTML page."""
     from obbhbb_ros.study.gallery import gallery_page
-    from obbhbb_ros.study.gallery import read_received
+    from obbhbb_ros.study.received import read_received
 
     # Resolved, because relative links do not work through symbolic links.
     outbox, beside = options.outbox.resolve(), options.output.resolve().parent
@@ -153,4 +153,6 @@ def run_gallery(options: Namespace) -> None:
     for problem in received.problems:
         note(f'obbhbb: {problem}')
     print(f'chips: {len(received.chips)}, problems: {len(received.problems)}')
+    if received.ship_count:
+        print(f'ships: {received.ship_count}')
     print(f'written: {options.output}')

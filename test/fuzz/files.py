@@ -34,8 +34,8 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.labels.formats import FORMATS
 from obbhbb_ros.study.gallery import gallery_page
-from obbhbb_ros.study.gallery import read_received
 from obbhbb_ros.study.harbour import harbour
+from obbhbb_ros.study.received import read_received
 
 BAG = Path(__file__).parents[1] / 'data/real_ships_bag/real_ships_bag.mcap'
 SIZE = (2000, 1000)

@@ -73,6 +73,65 @@ def test_the_most_valuable_chip_is_first_then_the_oldest(tmp_path) -> None:
     assert [Path(link).stem for link in links] == ['b', 'c', 'd', 'a']
 
 
+def views_of_ships(folder: Path) -> None:
+    """Put three views of a ship, one of another and a chip without object into an outbox."""
+    for name, ship, value, class_id in (
+        ('a', 'x-1', 0.2, 'tug'),
+        ('b', 'x-1', 0.9, 'cargo'),
+        ('c', None, 0.8, 'tug'),
+        ('d', 'x-1', 0.5, 'tug'),
+        ('e', 'x-2', 0.6, 'tug'),
+    ):
+        stamp = {'sec': FIRST_STAMP + ord(name), 'nanosec': 0}
+        facts = {'object': ship, 'view': 'dba'.find(name) + 1, 'rank': value / 10} if ship else {}
+        put(folder, *a_chip(id=name, value=value, class_id=class_id, stamp=stamp, **facts))
+
+
+def test_a_ship_has_one_card_with_its_best_view_and_the_others_behind_it(tmp_path, capsys) -> None:
+    views_of_ships(tmp_path / 'box')
+    page = gallery(tmp_path / 'box')
+    links = [each['href'] for each in page.all('a')]
+    assert [Path(link).stem for link in links] == ['b', 'd', 'a', 'c', 'e']
+    assert [card['data-views'] for card in page.all('div', 'card')] == ['3', '1', '1']
+    assert len(page.all('details')) == 1
+    text = ' '.join(page.text.split())
+    assert '5 chips, 4 of them of 2 ships, ' in text
+    assert 'shipx-1, view 2, rank 0.09' in text
+    assert 'tug, value 0.5, view 1, rank 0.05' in text
+    assert '2 more views' in text
+    # By ship, not by chip.
+    assert 'tug 2, cargo 1' in text
+    assert 'chips: 5, problems: 0\nships: 2\n' in capsys.readouterr().out
+
+
+def test_the_limit_counts_ships(tmp_path) -> None:
+    views_of_ships(tmp_path / 'box')
+    page = gallery(tmp_path / 'box', '--limit', '2')
+    assert [Path(each['href']).stem for each in page.all('a')] == ['b', 'd', 'a', 'c']
+    assert 'the first 2 are shown' in page.text
+
+
+def test_a_view_whose_file_is_missing_is_behind_those_that_came(tmp_path) -> None:
+    views_of_ships(tmp_path / 'box')
+    next((tmp_path / 'box').glob('*/b.jpg')).unlink()
+    page = gallery(tmp_path / 'box')
+    assert [Path(each['href']).stem for each in page.all('a')] == ['d', 'a', 'c', 'e']
+    assert len(page.all('span', 'none')) == 1
+
+
+def test_the_time_from_stamp_to_folder_is_told_chip_by_chip_and_for_all(tmp_path) -> None:
+    for name, seconds in (('a', 30.0), ('b', 7200.0), ('c', -5.0), ('d', 2e9)):
+        stamp = {'sec': FIRST_STAMP, 'nanosec': 0}
+        record = put(tmp_path / 'box', *a_chip(id=name, stamp=stamp))
+        os.utime(record, (FIRST_STAMP + seconds,) * 2)
+    text = ' '.join(gallery(tmp_path / 'box').text.split())
+    assert 'UTC latency30.0 s stamp' in text
+    assert 'UTC latency2.0 h stamp' in text
+    # Those of another clock have none.
+    assert text.count('latency') == 2
+    assert 'half of them within 30.0 s, nine tenths within 30.0 s' in text
+
+
 def test_a_card_states_the_facts_and_draws_the_place_in_the_frame(tmp_path) -> None:
     put(
         tmp_path / 'box',
@@ -258,6 +317,9 @@ WRONG = [
     ('codec', ['png']),
     ('bytes', -1),
     ('sha256', 7),
+    ('object', 5),
+    ('view', -1),
+    ('rank', 'high'),
     ('camera', [1.0]),
     ('camera', {'size': [8, 8]}),
     ('camera', CAMERA | {'k': [1.0]}),
@@ -289,7 +351,8 @@ def test_a_wrong_type_is_a_problem_that_names_file_and_key(tmp_path, capsys, key
 def test_any_stamp_of_an_image_is_shown(tmp_path, sec, nanosec, stamp, utc) -> None:
     put(tmp_path / 'box', *a_chip(stamp={'sec': sec, 'nanosec': nanosec}))
     text = ' '.join(gallery(tmp_path / 'box').text.split())
-    assert f'{utc}{stamp} camera' in text
+    assert f'time{utc}' in text
+    assert f'stamp{stamp} camera' in text
 
 
 def test_chips_of_equal_value_are_in_the_order_of_time_whatever_their_stamps(tmp_path) -> None:

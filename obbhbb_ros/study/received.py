@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an outbox, or a folder that received its files, holds: chips, their facts, what is wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from collections.abc import Iterator
+from dataclasses import dataclass
+from dataclasses import field
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.files import read_bounded
+from obbhbb_ros.spool.seals import is_sealed
+from obbhbb_ros.study.progress import printable
+from obbhbb_ros.study.progress import track
+from obbhbb_ros.wire.stamp import Stamp
+from obbhbb_ros.wire.stamp import nanoseconds_of
+
+_SUFFIXES = {f'.{codec.suffix}' for codec in CODECS.values()}
+_MAX_JSON_BYTES, _MAX_CHIP_BYTES = 2**22, 2**28
+# Ten years, in nanoseconds: stamps of a simulation begin near 1970.
+_MAX_LATENCY = 10 * 365 * 24 * 3600 * 10**9
+# Bytes of a chip file that are read at once.
+_PIECE = 2**20
+
+
+@dataclass(frozen=True)
+class ReceivedChip:
+    """
+    A chip and the facts in its JSON.
+
+    Attributes
+    ----------
+    path : Path
+        The chip file, whether it is there or not.
+    facts : dict
+        Content of the JSON: the keys that are known, each of the right type.
+    damage : str
+        What is wrong with the chip file, empty if nothing is.
+    size : int or None
+        Bytes of the chip file, None if it is missing.
+    arrival : int
+        When the JSON was written here, nanoseconds since 1970; a copy may have changed that.
+    """
+
+    path: Path
+    facts: dict[str, Any]
+    damage: str
+    size: int | None
+    arrival: int
+
+    @property
+    def stamp(self) -> Stamp:
+        """Stamp of the image."""
+        return self.facts['stamp']['sec'], self.facts['stamp']['nanosec']
+
+    @property
+    def time(self) -> int:
+        """Stamp of the image, nanoseconds."""
+        return nanoseconds_of(self.stamp)
+
+    @property
+    def latency(self) -> int | None:
+        """Nanoseconds from stamp to arrival; None if the stamp is of another clock."""
+        latency = self.arrival - self.time
+        return latency if 0 <= latency < _MAX_LATENCY else None
+
+
+@dataclass
+class Received:
+    """
+    What a folder holds.
+
+    Attributes
+    ----------
+    chips : list of ReceivedChip
+        The chips that have a usable JSON, the most valuable first, then the oldest.
+    problems : list of str
+        What is wrong, a line each; starts with the name of the file.
+    """
+
+    chips: list[ReceivedChip] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def ship_count(self) -> int:
+        """Number of ships; chips that name none do not count."""
+        return len({chip.facts['object'] for chip in self.chips if chip.facts['object']})
+
+    def by_ship(self) -> list[list[ReceivedChip]]:
+        """
+        Group the chips by the ship that they show, the best ship first, its best view first.
+
+        A chip that names no ship is alone. Views without a file come last.
+        """
+        ships: dict[str | int, list[ReceivedChip]] = {}
+        for number, chip in enumerate(self.chips):
+            ships.setdefault(chip.facts['object'] or number, []).append(chip)
+        return [sorted(views, key=lambda view: view.size is None) for views in ships.values()]
+
+
+def read_received(folder: Path) -> Received:
+    """
+    Read the chips of an outbox, or of any folder that received one, and check their files.
+
+    All folders in it are searched, those behind symbolic links as well; names that begin with a
+    dot are left out, as files are not complete under such names. Raises NotADirectoryError if
+    there is no such folder.
+    """
+    if not folder.is_dir():
+        raise NotADirectoryError(f'{folder}: no such folder')
+    received = Received()
+    files = sorted(_files(folder, received.problems))
+    named = set()
+    for path in track([path for path in files if path.suffix == '.json'], 'reading'):
+        shown = printable(str(path.relative_to(folder)))
+        try:
+            chip = _checked(path)
+        except (OSError, ValueError, RecursionError, MemoryError) as error:
+            problem = printable(str(error)) or 'not enough memory'
+            received.problems.append(f'{shown}: {problem}')
+            continue
+        named.add(chip.path)
+        received.chips.append(chip)
+        if chip.damage:
+            name = printable(str(chip.path.relative_to(folder)))
+            received.problems.append(f'{name}: {chip.damage}')
+    received.chips.sort(key=lambda chip: (-chip.facts['value'], chip.time, chip.facts['id']))
+    orphans = [path for path in files if path.suffix in _SUFFIXES and path not in named]
+    if orphans:
+        first = printable(str(orphans[0].relative_to(folder)))
+        received.problems.append(f'{first}: no usable JSON; {len(orphans)} such files in all')
+    return received
+
+
+def _files(folder: Path, problems: list[str]) -> Iterator[Path]:
+    """Find the regular files in a folder and all below it, each folder once."""
+
+    def report(error: OSError) -> None:
+        problems.append(printable(str(error)))
+
+    # A link that leads up leads to nothing new.
+    searched = set(folder.resolve().parents)
+    for place, folders, names in os.walk(folder, onerror=report, followlinks=True):
+        if (real := Path(place).resolve()) in searched:
+            folders.clear()
+            continue
+        searched.add(real)
+        folders[:] = [name for name in folders if not name.startswith('.')]
+        for name in names:
+            path = Path(place, name)
+            # Reading a pipe would block.
+            if not name.startswith('.') and path.is_file():
+                yield path
+
+
+def _checked(path: Path) -> ReceivedChip:
+    """Read a JSON and check its chip file; ValueError if the JSON cannot be used."""
+    content = read_bounded(path, _MAX_JSON_BYTES)
+    facts = json.loads(content.decode())
+    if not isinstance(facts, dict):
+        raise ValueError('not a JSON object')
+    facts = _OPTIONAL | facts
+    for key, (meaning, is_right) in _KEYS.items():
+        if key not in facts:
+            raise ValueError(f"key '{key}' is missing")
+        if not is_right(facts[key]):
+            raise ValueError(f"key '{key}' is not {meaning}")
+    chip = path.with_suffix(f'.{CODECS[facts["codec"]].suffix}')
+    damage, size = _damage(chip, facts)
+    if not is_sealed(content):
+        damage = damage or 'damaged: the digest of its JSON differs or is missing'
+    arrival = path.stat().st_mtime_ns
+    return ReceivedChip(chip, {key: facts[key] for key in _KEYS}, damage, size, arrival)
+
+
+def _damage(chip: Path, facts: dict[str, Any]) -> tuple[str, int | None]:
+    """Return what is wrong with a chip file, empty if nothing is, and its size."""
+    if not chip.is_file():
+        return 'missing', None
+    size = chip.stat().st_size
+    if size != facts['bytes']:
+        return f'damaged: {size} bytes instead of {facts["bytes"]}', size
+    if size > _MAX_CHIP_BYTES:
+        return f'damaged: {size} bytes, the maximum is {_MAX_CHIP_BYTES}', size
+    if _digest(chip) != facts['sha256'].lower():
+        return 'damaged: sha256 differs', size
+    return '', size
+
+
+def _digest(path: Path) -> str:
+    """Compute the sha256 of a file, piece by piece."""
+    digest = sha256()
+    with path.open('rb') as stream:
+        while piece := stream.read(_PIECE):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+# Checks of the keys ---------------------------------------------------------------------------
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_whole(value: Any, low: int = 0, high: int = 2**32 - 1) -> bool:
+    return type(value) is int and low <= value <= high
+
+
+def _is_number(value: Any) -> bool:
+    # Any finite number, as in a spool.
+    return type(value) in (int, float) and abs(value) <= sys.float_info.max
+
+
+def _is_list(count: int | None, is_right: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    """Return a check for a list of `count` values, None for any number."""
+    return lambda value: (
+        isinstance(value, list) and count in (None, len(value)) and all(map(is_right, value))
+    )
+
+
+def _or_null(is_right: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda value: value is None or is_right(value)
+
+
+def _is_stamp(value: Any) -> bool:
+    # Whatever fits into builtin_interfaces/msg/Time.
+    return (
+        isinstance(value, dict)
+        and _is_whole(value.get('sec'), -(2**31), 2**31 - 1)
+        and _is_whole(value.get('nanosec'))
+    )
+
+
+def _ends_in_size(count: int) -> Callable[[Any], bool]:
+    """Return a check for `count` whole numbers, the last two a width and a height."""
+    return lambda value: _is_list(count, _is_whole)(value) and min(value[-2:]) > 0
+
+
+_CAMERA: dict[str, Callable[[Any], bool]] = {
+    'size': _is_list(2, _is_whole),
+    'k': _or_null(_is_list(9, _is_number)),
+    'model': _is_text,
+    'd': _or_null(_is_list(None, _is_number)),
+    'roi': _is_list(4, _is_whole),
+    'binning': _is_list(2, _is_whole),
+}
+
+
+def _is_camera(value: Any) -> bool:
+    """Return whether a value describes a camera."""
+    return isinstance(value, dict) and all(
+        name in value and is_right(value[name]) for name, is_right in _CAMERA.items()
+    )
+
+
+_KEYS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    'id': ('a text', _is_text),
+    'stamp': ('sec and nanosec', _is_stamp),
+    'frame_id': ('a text', _is_text),
+    'roi': ('x, y, width and height in whole pixels', _ends_in_size(4)),
+    'image_size': ('width and height in whole pixels', _ends_in_size(2)),
+    'class_id': ('a text', _is_text),
+    'score': ('a number or null', _or_null(_is_number)),
+    'value': ('a number', _is_number),
+    'detection_ids': ('a list of texts', _is_list(None, _is_text)),
+    'obb': ('five numbers or null', _or_null(_is_list(5, _is_number))),
+    'codec': (f'one of {", ".join(CODECS)}', lambda value: value in list(CODECS)),
+    'bytes': ('a whole number', _is_whole),
+    'sha256': ('a text', _is_text),
+    'camera': ('an object with size, k, model, d, roi and binning, or null', _or_null(_is_camera)),
+    'object': ('a text or null', _or_null(_is_text)),
+    'view': ('a whole number or null', _or_null(_is_whole)),
+    'rank': ('a number or null', _or_null(_is_number)),
+}
+# Not in the JSON of chips that show no known ship.
+_OPTIONAL: dict[str, Any] = dict.fromkeys(('object', 'view', 'rank'))
