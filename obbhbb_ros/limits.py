@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import Field
 from dataclasses import dataclass
 from dataclasses import field
-from dataclasses import fields
 from inspect import cleandoc
 from numbers import Real
 from typing import Any
+from typing import ClassVar
 from typing import TypeAlias
 from typing import TypeVar
 
@@ -127,20 +127,23 @@ class CheckedSettings:
         If a value that must be a number is something else.
     """
 
+    # Listed once: `convert` makes, and checks, a rule in each call.
+    _limits: ClassVar[tuple[tuple[str, Limits], ...]]
+
     def __init_subclass__(cls) -> None:
         """List the fields of a subclass, with their meaning, in its docstring, for `help`."""
         items = {**getattr(cls, '__dataclass_fields__', {}), **vars(cls)}
-        attributes = [
-            f'{name}\n    {item.metadata["meaning"]}'
-            for name, item in items.items()
-            if isinstance(item, Field)
-        ]
+        settings = {name: item.metadata for name, item in items.items() if isinstance(item, Field)}
+        attributes = [f'{name}\n    {facts["meaning"]}' for name, facts in settings.items()]
+        cls._limits = tuple(
+            (name, facts['limits']) for name, facts in settings.items() if facts['limits']
+        )
         text = cleandoc(cls.__doc__ or '')
         cls.__doc__ = '\n'.join((text, '', 'Attributes', '----------', *attributes))
 
     def __post_init__(self) -> None:
         """Check every value."""
-        for item in fields(self):  # type: ignore[arg-type]
-            value, limits = getattr(self, item.name), item.metadata['limits']
-            if limits is not None and value is not None:
-                limits.check(item.name, value)
+        for name, limits in self._limits:
+            value = getattr(self, name)
+            if value is not None:
+                limits.check(name, value)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -88,9 +87,11 @@ class HullRule(CheckedSettings):
         q_bow, q_stern = self.q_bow, self.q_stern
         return self.q if q_bow is None else q_bow, self.q if q_stern is None else q_stern
 
-    @cached_property
+    @property
     def uses_bow(self) -> bool:
         """Whether a known bow changes the box."""
+        if self.q_bow is None and self.q_stern is None:
+            return False
         return METHODS[self.method].two_ended and self.ends != (self.q, self.q)
 
 
