@@ -27,6 +27,7 @@ from rclpy.subscription import Subscription
 from rclpy.waitable import NumberOfEntities
 
 from obbhbb_ros.errors import ObbhbbError
+from obbhbb_ros.nodes import internals
 
 _KINDS = ('subscription', 'guard_condition', 'timer', 'client', 'service')
 # Names that rclpy keeps to itself.
@@ -162,8 +163,7 @@ class ExpressExecutor(SingleThreadedExecutor):
 def _take_and_call(subscription: Any, argument_count: int) -> None:
     """Handle the next message of a raw subscription, unless a callback has destroyed it."""
     try:
-        with subscription.handle:
-            taken = subscription.handle.take_message(subscription.msg_type, True)
+        taken = internals.take(subscription)
     except InvalidHandle:
         return
     if taken is not None:
