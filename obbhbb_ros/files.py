@@ -16,6 +16,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+# Files of some file systems say that they have no bytes.
+SMALL_BYTES = 1 << 16
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
@@ -132,7 +135,8 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
         if status.st_size > max_bytes:
             raise ValueError(f'{status.st_size} bytes, the maximum is {max_bytes}')
         with open(descriptor, 'rb', closefd=False) as stream:
-            return stream.read(max_bytes)
+            # All that is asked for is allocated at once.
+            return stream.read(min(max_bytes, max(status.st_size, SMALL_BYTES)))
     finally:
         os.close(descriptor)
 

@@ -307,7 +307,9 @@ def _wkt_rings(wkt: str) -> tuple[str, list[FloatArray]]:
     """Return the reference system, '' for none, and the rings of a geometry."""
     code = SRID.match(wkt)
     try:
-        geometry = shapely.from_wkt(wkt[code.end() :] if code else wkt)
+        # Infinite coordinates are reported with the box.
+        with np.errstate(over='ignore', invalid='ignore'):
+            geometry = shapely.from_wkt(wkt[code.end() :] if code else wkt)
     except shapely.errors.GEOSException as error:
         raise ValueError(f'not WKT: {error}') from None
     return f'EPSG:{code[1]}' if code and int(code[1]) else '', shapes.outer_rings(geometry)

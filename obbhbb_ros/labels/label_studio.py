@@ -270,7 +270,9 @@ def _polygon(points: Any, size: ImageSize) -> FloatArray:
     if not isinstance(points, list) or len(points) < MIN_HULL_POINTS:
         raise ValueError("'points' is not an array of at least three points")
     percent = [documents.json_numbers(point, 2, 'a point') for point in points]
-    return np.array(percent, np.float64) * (np.array(size) / 100.0)
+    # A point that is not finite is reported with the polygon.
+    with np.errstate(over='ignore'):
+        return np.array(percent, np.float64) * (np.array(size) / 100.0)
 
 
 def _rectangle(region: dict[str, Any], box: Box, size: ImageSize) -> Box:

@@ -78,9 +78,15 @@ def upright_rows(xyxy: FloatArray) -> FloatArray:
 
 
 def bounds_of_xywh(x: float, y: float, width: float, height: float) -> list[float]:
-    """Turn corner and size into x_min, y_min, x_max, y_max; raise ValueError if a size is < 0."""
+    """
+    Turn corner and size into x_min, y_min, x_max, y_max.
+
+    Raises ValueError if a size is negative or a result is not finite.
+    """
     _check_size(width, height)
-    return [x, y, x + width, y + height]
+    bounds = [x, y, x + width, y + height]
+    _check_finite(bounds)
+    return bounds
 
 
 def oriented_corners(x: float, y: float, width: float, height: float, angle: float) -> Corners:
@@ -88,15 +94,17 @@ def oriented_corners(x: float, y: float, width: float, height: float, angle: flo
     Return the corners x1 y1 … x4 y4 of a box with centre `x`, `y` in pixels.
 
     `width` is its extent along `angle` and `height` across it, pixels; `angle` is in radians from
-    image +x towards +y. Raises ValueError if a size is negative.
+    image +x towards +y. Raises ValueError if a size is negative or a corner is not finite.
     """
     _check_size(width, height)
     ux, uy = math.cos(angle) * width / 2, math.sin(angle) * width / 2
     vx, vy = -math.sin(angle) * height / 2, math.cos(angle) * height / 2
-    return (
+    corners = (
         x - ux - vx, y - uy - vy, x + ux - vx, y + uy - vy,
         x + ux + vx, y + uy + vy, x - ux + vx, y - uy + vy,
     )  # fmt: skip
+    _check_finite(corners)
+    return corners
 
 
 def turned_box(xyxy: Sequence[float], degrees: float) -> tuple[Corners, Sequence[float]]:
@@ -135,6 +143,11 @@ def bow_first(corners: Corners, head: tuple[float, float]) -> tuple[Corners, boo
 def _check_size(width: float, height: float) -> None:
     if width < 0.0 or height < 0.0:
         raise ValueError(f'the box has a negative size: {width} x {height}')
+
+
+def _check_finite(numbers: Iterable[float]) -> None:
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError('the box is so large that a coordinate is not finite')
 
 
 class Outlined(NamedTuple):

@@ -4,71 +4,143 @@ Feed damaged files to what reads files on the ground: labels, galleries, bags.
 
     python test/fuzz/files.py --inputs 2000             # of each kind
 
-Whatever the bytes are, the documented errors alone are raised, and soon. A kind is a format of
-labels, or `gallery`, `picture`, `bag`.
+Whatever the bytes are, the documented errors alone are raised, soon and within bounded memory. A
+kind is a format of labels, `class_names` or `image_size` (beside labels), `gallery`, `picture` or
+`bag`.
 """
 
 from __future__ import annotations
 
 import argparse
 import io
+import resource
 import shutil
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable
 from contextlib import redirect_stderr
 from contextlib import redirect_stdout
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+from text_damage import damaged_text
+from wire import mutated
 from wire import run_mutations
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from outboxes import make_outbox
+from sound_labels import SOUND
 
 from obbhbb_ros.bags.replay import ReplayOptions
 from obbhbb_ros.bags.replay import add_boxes
 from obbhbb_ros.cli import main as convert
 from obbhbb_ros.errors import ObbhbbError
+from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.labels import detect_format
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
+from obbhbb_ros.labels.axis_aligned import convert_image
 from obbhbb_ros.labels.formats import FORMATS
 from obbhbb_ros.study.gallery import gallery_page
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.received import read_received
 
 BAG = Path(__file__).parents[1] / 'data/real_ships_bag/real_ships_bag.mcap'
+OF_TOOLS = Path(__file__).parents[1] / 'data/labels'
 SIZE = (2000, 1000)
+MAX_BYTES = 1 << 30
 
 Check = Callable[[bytes], str]
+Kind = tuple[list[bytes], Check]
+"""Sound files, and what holds a damaged one against what must hold."""
 
 
-def label_kind(name: str, folder: Path) -> tuple[bytes, Check]:
-    """Write a file of a format, and read what becomes of it."""
+def label_kind(name: str, folder: Path) -> Kind:
+    """Write files of a format, and convert what becomes of them."""
     form = FORMATS[name]
-    suffix = min(form.suffixes)
-    path = folder / f'labels{suffix}'
-    write_labels(folder / 'ships.csv', [harbour()])
-    if form.write:
-        write_labels(path, [harbour()], name)
-    elif form.write_boxes:
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-            convert(['convert', str(folder / 'ships.csv'), str(path), '--to', name])
-    # Where the harbour cannot be written, another format is as good as damage.
-    seed = path.read_bytes() if path.is_file() else (folder / 'ships.csv').read_bytes()
+    path = folder / f'labels{min(form.suffixes)}'
+    seeds = _written(folder, name, path)
+    if name in SOUND:
+        seeds.append(SOUND[name].encode())
+    seeds += [file.read_bytes() for file in sorted(OF_TOOLS.rglob('*.*')) if _is(file, name)]
 
     def check(data: bytes) -> str:
         path.write_bytes(data)
-        try:
-            labels = read_labels(path, name, image_size=SIZE, on_error=bool)
-            return 'read' if any(len(image.class_ids) for image in labels) else 'empty'
-        except (ObbhbbError, ValueError, OSError):
-            return 'refused'
+        return _converted(path, name, SIZE)
 
-    return seed, check
+    return seeds, check
 
 
-def gallery_kind(folder: Path) -> tuple[bytes, Check]:
+def _is(file: Path, name: str) -> bool:
+    try:
+        return file.is_file() and detect_format(file) == name
+    except ValueError:
+        return False
+
+
+def _written(folder: Path, name: str, path: Path) -> list[bytes]:
+    """Write the harbour, if the format can be written."""
+    table = folder / 'ships.csv'
+    write_labels(table, [harbour()])
+    files = []
+    if FORMATS[name].write:
+        write_labels(path, [harbour()], name)
+        files.append(path.read_bytes())
+    if FORMATS[name].write_boxes:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            convert(['convert', str(table), str(path), '--to', name])
+        files += [path.read_bytes()] if path.is_file() else []
+    return files
+
+
+def _converted(path: Path, name: str, size: tuple[int, int] | None) -> str:
+    """Read labels and convert them; say what came of it."""
+    boxes = 0
+    try:
+        for labels in read_labels(path, name, image_size=size, on_error=bool):
+            assert np.isfinite(labels.corners).all()
+            assert np.isfinite(labels.scores).all()
+            boxes += len(convert_image(labels, HullRule()).boxes.class_ids)
+    except (ObbhbbError, ValueError, OSError):
+        return 'refused'
+    return 'converted' if boxes else 'empty'
+
+
+def class_names_kind(folder: Path) -> Kind:
+    """Read labels beside a damaged file of class names."""
+    names, path = folder / 'data.yaml', folder / 'labels.txt'
+    path.write_text(SOUND['yolo'])
+
+    def check(data: bytes) -> str:
+        names.write_bytes(data)
+        return _converted(path, 'yolo', SIZE)
+
+    seeds = 'path: .\nnc: 2\nnames: [ship, tug]\n', 'names:\n  0: ship\n  1: &a tug\n  2: *a\n'
+    return [seed.encode() for seed in seeds], check
+
+
+def image_size_kind(folder: Path) -> Kind:
+    """Read labels beside a damaged image."""
+    path = folder / 'labels.txt'
+    path.write_text(SOUND['yolo'])
+    image = folder / 'labels.png'
+    seeds = []
+    for form in ('PNG', 'JPEG', 'TIFF', 'BMP', 'WEBP'):
+        stream = io.BytesIO()
+        Image.new('RGB', (40, 30)).save(stream, form)
+        seeds.append(stream.getvalue())
+
+    def check(data: bytes) -> str:
+        image.write_bytes(data)
+        return _converted(path, 'yolo', None)
+
+    return seeds, check
+
+
+def gallery_kind(folder: Path) -> Kind:
     """Make the JSON of a chip, and show what becomes of it."""
     (record,) = make_outbox(folder / 'box', 1, 'jpeg2000')
 
@@ -78,10 +150,10 @@ def gallery_kind(folder: Path) -> tuple[bytes, Check]:
         gallery_page(received, folder, 'chips')
         return f'{len(received.chips)} shown'
 
-    return record.read_bytes(), check
+    return [record.read_bytes()], check
 
 
-def picture_kind(folder: Path) -> tuple[bytes, Check]:
+def picture_kind(folder: Path) -> Kind:
     """Make a chip that has to be converted, and show what becomes of it."""
     (record,) = make_outbox(folder / 'box', 1, 'jpeg2000')
     chip = record.with_suffix('.jp2')
@@ -92,10 +164,10 @@ def picture_kind(folder: Path) -> tuple[bytes, Check]:
         page = gallery_page(received, folder, 'chips')
         return 'shown' if '<img' in page else 'no picture'
 
-    return chip.read_bytes(), check
+    return [chip.read_bytes()], check
 
 
-def bag_kind(folder: Path) -> tuple[bytes, Check]:
+def bag_kind(folder: Path) -> Kind:
     """Read a bag, and convert what becomes of it."""
     source = folder / 'in.mcap'
 
@@ -108,10 +180,12 @@ def bag_kind(folder: Path) -> tuple[bytes, Check]:
             return 'refused'
         return 'whole' if tally.complete else 'in part'
 
-    return BAG.read_bytes(), check
+    return [BAG.read_bytes()], check
 
 
-OTHERS: dict[str, Callable[[Path], tuple[bytes, Check]]] = {
+OTHERS: dict[str, Callable[[Path], Kind]] = {
+    'class_names': class_names_kind,
+    'image_size': image_size_kind,
     'gallery': gallery_kind,
     'picture': picture_kind,
     'bag': bag_kind,
@@ -125,12 +199,37 @@ def main() -> None:
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--kinds', nargs='+', choices=[*FORMATS, *OTHERS])
     options = parser.parse_args()
+    limit_memory(MAX_BYTES)
+    warnings.simplefilter('error')
     for kind in options.kinds or [*FORMATS, *OTHERS]:
         print(f'{kind}: ', end='', flush=True)
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            seed, check = OTHERS[kind](folder) if kind in OTHERS else label_kind(kind, folder)
-            run_mutations(options.inputs, options.seed, lambda source, seed=seed: seed, check)
+            seeds, check = OTHERS[kind](folder) if kind in OTHERS else label_kind(kind, folder)
+            damage = damaged_text if is_text(seeds[0]) else mutated
+            run_mutations(
+                options.inputs,
+                options.seed,
+                lambda source, seeds=seeds: source.choice(seeds),
+                check,
+                damage,
+            )
+
+
+def is_text(data: bytes) -> bool:
+    """Tell text from binary files."""
+    try:
+        return '\0' not in data.decode()
+    except UnicodeDecodeError:
+        return False
+
+
+def limit_memory(size: int) -> None:
+    """Let everything fail that takes more than `size` bytes beyond what is taken now."""
+    with open('/proc/self/statm') as stream:
+        pages = int(stream.read().split()[0])
+    limit = pages * resource.getpagesize() + size
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
 if __name__ == '__main__':

@@ -119,6 +119,7 @@ def run_mutations(
     seed: int,
     seed_message: Callable[[random.Random], bytes] = seed_message,
     check: Callable[[bytes], str] = check,
+    damage: Callable[[bytearray, random.Random], bytes] = mutated,
 ) -> None:
     """Try many inputs; on a failure write the input to a file."""
     source = random.Random(seed)
@@ -126,7 +127,7 @@ def run_mutations(
     outcomes: Counter[str] = Counter()
     slowest = 0.0
     for i in range(inputs):
-        data = mutated(bytearray(source.choice(seeds)), source)
+        data = damage(bytearray(source.choice(seeds)), source)
         started = time.perf_counter()
         try:
             outcomes[check(data)] += 1

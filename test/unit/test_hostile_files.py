@@ -8,6 +8,7 @@ import resource
 import struct
 import subprocess
 import sys
+import tracemalloc
 import zlib
 from hashlib import sha256
 from pathlib import Path
@@ -76,6 +77,17 @@ def test_a_file_is_read_up_to_a_size_and_only_if_it_is_one(tmp_path: Path) -> No
     for path in (pipe(tmp_path / 'pipe'), tmp_path, Path('/dev/zero')):
         with pytest.raises(ValueError, match=r'^not a regular file$'):
             read_bounded(path, 5)
+
+
+def test_a_small_file_takes_little_memory_to_read(tmp_path: Path) -> None:
+    (tmp_path / 'file').write_bytes(b'12345')
+    tracemalloc.start()
+    try:
+        assert read_bounded(tmp_path / 'file', 1 << 30) == b'12345'
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 1 << 20
 
 
 def test_a_gallery_shows_what_can_be_shown(tmp_path: Path) -> None:

@@ -12,87 +12,11 @@ from hypothesis import HealthCheck
 from hypothesis import given
 from hypothesis import settings
 from hypothesis import strategies as st
+from sound_labels import SOUND
 
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
-
-SOUND = {
-    'dota': 'imagesource:x\n10 20 50 20 50 30 10 30 ship 0\n',
-    'dota_results': 'P1 0.5 10 20 50 20 50 30 10 30\n',
-    'yolo_obb': '0 0.1 0.2 0.5 0.2 0.5 0.3 0.1 0.3 0.9 4\n',
-    'yolo': '0 0.3 0.25 0.4 0.1 0.9 4\n',
-    'csv': 'image,instance,class,x1,y1,x2,y2,x3,y3,x4,y4\na,0,s,1,2,9,2,9,4,1,4\n',
-    'wkt': 'image,score,wkt\na,0.5,"POLYGON ((1 2, 9 2, 9 4, 1 4, 1 2))"\n',
-    'hrsc': (
-        '<HRSC_Image><Img_SizeWidth>9</Img_SizeWidth><Img_SizeHeight>9</Img_SizeHeight>'
-        '<HRSC_Objects><HRSC_Object><mbox_cx>5</mbox_cx><mbox_cy>3</mbox_cy><mbox_w>8</mbox_w>'
-        '<mbox_h>2</mbox_h><mbox_ang>0</mbox_ang></HRSC_Object></HRSC_Objects></HRSC_Image>'
-    ),
-    'voc': (
-        '<annotation><object><name>s</name><bndbox><xmin>1</xmin><ymin>2</ymin><xmax>9</xmax>'
-        '<ymax>4</ymax></bndbox></object></annotation>'
-    ),
-    'cvat': (
-        '<annotations><image name="a" width="9" height="9"><mask label="s" rle="1, 8" left="1" '
-        'top="2" width="3" height="3"/></image></annotations>'
-    ),
-    'fair1m': (
-        '<annotation><objects><object><possibleresult><name>s</name></possibleresult><points>'
-        '<point>1,2</point><point>9,2</point><point>9,4</point><point>1,4</point></points></object>'
-        '</objects></annotation>'
-    ),
-    'coco_results': json.dumps([{
-        'image_id': 1, 'category_id': 1, 'score': 0.5, 'bbox': [5, 3, 8, 2, 60],
-        'segmentation': {'size': [3, 3], 'counts': [1, 8]},
-    }]),
-    'datumaro': json.dumps({
-        'categories': {'label': {'labels': [{'name': 's'}]}},
-        'items': [{
-            'id': 'a', 'image': {'size': [9, 9]},
-            'annotations': [{
-                'id': 1, 'type': 'bbox', 'label_id': 0, 'bbox': [1, 2, 8, 2],
-                'attributes': {'rotation': 30, 'is_crowd': False},
-            }],
-        }],
-    }),
-    'coco': json.dumps({
-        'images': [{'id': 1, 'file_name': 'a', 'width': 9, 'height': 9}],
-        'categories': [{'id': 1, 'name': 's'}],
-        'annotations': [{
-            'id': 1, 'image_id': 1, 'category_id': 1, 'bbox': [1, 2, 8, 2], 'score': 0.5,
-            'segmentation': [[1, 2, 9, 2, 9, 4, 1, 4]],
-        }],
-    }),
-    'geojson': json.dumps({
-        'type': 'FeatureCollection',
-        'features': [{
-            'type': 'Feature', 'properties': {'score': 1, 'image': 'a'}, 'id': 5,
-            'geometry': {'type': 'Polygon', 'coordinates': [[[1, 2], [9, 2], [9, 4], [1, 2]]]},
-        }],
-    }),
-    'labelme': json.dumps({
-        'imagePath': 'a.png', 'imageWidth': 9, 'imageHeight': 9,
-        'shapes': [{
-            'label': 's', 'shape_type': 'polygon', 'group_id': 5, 'score': 0.5,
-            'points': [[1, 2], [9, 2], [9, 4], [1, 4]],
-        }],
-    }),
-    'label_studio': json.dumps([{
-        'id': 1, 'data': {'image': '/data/a.png'},
-        'annotations': [{'created_at': '2026', 'result': [{
-            'id': 'x', 'type': 'rectanglelabels', 'original_width': 9, 'original_height': 9,
-            'value': {
-                'x': 10, 'y': 20, 'width': 80, 'height': 20, 'rotation': 5,
-                'rectanglelabels': ['s'],
-            },
-        }]}],
-    }]),
-    'ultralytics': json.dumps([{
-        'image_id': 'a', 'file_name': 'a.png', 'category_id': 1, 'score': 0.5,
-        'rbox': [5, 3, 8, 2, 0], 'poly': [1, 2, 9, 2, 9, 4, 1, 4],
-    }]),
-}  # fmt: skip
 
 DOCUMENTS = (
     'coco',
@@ -179,3 +103,39 @@ def test_any_value_in_any_place_of_a_document_ends_in_boxes_or_errors(
     path = tmp_path / 'file'
     path.write_text(json.dumps(document))
     _read(path, format_name)
+
+
+@pytest.mark.parametrize(
+    ('format_name', 'text', 'message'),
+    [
+        (
+            'label_studio',
+            SOUND['label_studio'].replace('"height": 20', '"height": 1e308'),
+            'the box is so large that a coordinate is not finite',
+        ),
+        (
+            'labelme',
+            SOUND['labelme'].replace('[9, 2]', '[1e308, 1e308]').replace('[1, 4]', '[-1e308, 4]'),
+            'beyond',
+        ),
+        (
+            'wkt',
+            'image,wkt\na,"POLYGON ((1e400 2, 9 2, 9 4, 1 4, 1e400 2))"\n',
+            'a coordinate that is not finite',
+        ),
+        (
+            'coco',
+            SOUND['coco'].replace('[1, 2, 8, 2]', '[1e308, 2, 1e308, 2]'),
+            'so large that a coordinate is not finite',
+        ),
+    ],
+)
+@pytest.mark.filterwarnings('error')
+def test_numbers_that_overflow_are_reported(
+    tmp_path: Path, format_name: str, text: str, message: str
+) -> None:
+    path = tmp_path / 'file'
+    path.write_text(text)
+    count, errors = _read(path, format_name)
+    assert count == 0
+    assert message in str(errors[0])
