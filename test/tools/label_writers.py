@@ -16,6 +16,7 @@ import math
 import os
 import sys
 from collections.abc import Callable
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 from typing import NamedTuple
@@ -629,6 +630,8 @@ def main() -> None:
         folder = root / f'{number:03}_{one.tool}'
         folder.mkdir(parents=True)
         entry = {'tool': one.tool, 'form': one.form, 'carries': one.carries}
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            entry['version'] = metadata.version(one.tool)
         try:
             with contextlib.redirect_stdout(sys.stderr):
                 entry['path'] = str(one.write(fleet, folder))
