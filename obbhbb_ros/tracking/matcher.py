@@ -1,0 +1,337 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Numbers for ships, from the boxes of a camera that moves.
+
+A frame may lie ten ship lengths beside the last one. So it is guessed first how the image moved,
+until most boxes meet an object that way; then boxes and objects are paired within gates that grow
+with the time for which an object was not seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.tracking.assignment import GATE
+from obbhbb_ros.tracking.assignment import LOOSE
+from obbhbb_ros.tracking.assignment import Pairs
+from obbhbb_ros.tracking.assignment import alike
+from obbhbb_ros.tracking.assignment import anchored_variance
+from obbhbb_ros.tracking.assignment import anchors
+from obbhbb_ros.tracking.assignment import assigned
+from obbhbb_ros.tracking.shift import fitted
+from obbhbb_ros.tracking.shift import voted_shift
+from obbhbb_ros.tracking.shift import voted_turn
+from obbhbb_ros.tracking.sightings import FIELDS
+from obbhbb_ros.tracking.sightings import Motion
+from obbhbb_ros.tracking.sightings import Places
+from obbhbb_ros.tracking.sightings import Rows
+from obbhbb_ros.tracking.sightings import are_inside
+from obbhbb_ros.tracking.sightings import axis_turn
+from obbhbb_ros.tracking.sightings import middle_of
+from obbhbb_ros.tracking.sightings import sightings
+
+MAX_OBJECTS = 20_000
+"""Objects remembered, those seen last."""
+MAX_BOXES = 5000
+"""Boxes of a frame that are followed, the longest."""
+MAX_PIXELS = 1e7
+"""Boxes further out, or longer, are not followed."""
+
+_MIN_LENGTH = 1e-2
+# By how much the speed of a ship changes within a second, ship lengths per second.
+_UNREST = 0.05
+# Standard deviation of a place, pixels: until it is measured, and its limits.
+_NOISE = 2.0
+_NOISES = (1.0, 8.0)
+# The median of the modulus of a complex normal number, in standard deviations.
+_MEDIAN = 1.18
+# The longest boxes vote; that bounds the pairs.
+_VOTERS = 200
+_LIKE_SHARE = 0.1
+# Share of the boxes that must meet an object, or other motions are tried.
+_EXPLAINED = 0.6
+# The camera's motion: for so many seconds it is remembered, and by so much it changes a frame.
+_DRIFT_MEMORY = 3.0
+_DRIFT_ERROR = 0.1
+_MIN_COMMON = 3
+# A steady ship: seen so often, whole; noise is measured by so many of them.
+_MIN_HITS = 3
+_MIN_STEADY = 5
+# Weight of a new length or angle.
+_BLEND = 0.3
+
+
+class _Guess(NamedTuple):
+    """A guess how the image moved; `by` says how it was made."""
+
+    by: str
+    motion: Motion
+
+
+class ShipMatcher:
+    """
+    Gives boxes the numbers of ships.
+
+    Parameters
+    ----------
+    memory : float
+        For how long a ship that is not seen is remembered, seconds.
+
+    Examples
+    --------
+    >>> matcher = ShipMatcher()
+    >>> size, length, angle = 1000 + 1000j, np.array([50.0, 30.0]), np.array([0.1, 0.9])
+    >>> place = np.array([300 + 400j, 700 + 500j])
+    >>> matcher.track(0.0, place, length, angle, size).tolist()
+    [0, 1]
+    >>> matcher.track(0.1, place + 150j, length, angle, size).tolist()
+    [0, 1]
+    """
+
+    def __init__(self, memory: float = 30.0) -> None:
+        self.memory = memory
+        self._objects: Rows = np.zeros(0, FIELDS)
+        self._next, self._time, self._noise = 0, -math.inf, _NOISE
+        # Of the middle of the image, px/s.
+        self._drift: complex | None = None
+
+    @property
+    def object_count(self) -> int:
+        """How many ships are remembered."""
+        return len(self._objects)
+
+    def track(
+        self,
+        time: float,
+        place: Places,
+        length: FloatArray,
+        angle: FloatArray,
+        size: complex,
+        hint: Motion | None = None,
+    ) -> NDArray[np.int64]:
+        """
+        Return the numbers of the boxes of the next frame.
+
+        Parameters
+        ----------
+        time : float
+            Stamp of the frame, seconds.
+        place : ndarray of complex, shape (N,)
+            Middles of the boxes, x + iy, pixels.
+        length, angle : ndarray, shape (N,)
+            Long sides of the boxes, pixels, and their angles, radians.
+        size : complex
+            Width and height of the image, pixels.
+        hint : Motion, optional
+            How the image moved since the last frame, as far as it is known otherwise.
+
+        Returns
+        -------
+        ndarray of int, shape (N,)
+            Numbers from 0, the same for boxes of one ship. They do not depend on the order of the
+            boxes. -1 for boxes that are not followed: of no size, not finite, or too many.
+        """
+        numbers = np.full(len(place), -1, np.int64)
+        followed = _followed(place, length, angle)
+        if followed.size or not len(place):
+            numbers[followed] = self._track(
+                time, place[followed], length[followed], angle[followed], size, hint
+            )
+        return numbers
+
+    def _track(
+        self,
+        time: float,
+        place: Places,
+        length: FloatArray,
+        angle: FloatArray,
+        size: complex,
+        hint: Motion | None,
+    ) -> NDArray[np.int64]:
+        """Return the numbers of boxes that are followed."""
+        step = time - self._time
+        boxes = sightings(time, place, length, angle, self._noise, size)
+        objects = self._predicted(time)
+        motion, is_measured = self._motion(objects, boxes, step, size, hint)
+        objects = motion.of(objects)
+        if is_measured and 0.0 < abs(step) < math.inf:
+            middle = size / 2
+            self._drift = (motion.turn * middle + motion.shift - middle) / step
+        pairs = assigned(objects, boxes, size, 2 * LOOSE)
+        boxes['id'][pairs.boxes] = objects['id'][pairs.objects]
+        self._update(objects, pairs, boxes[pairs.boxes])
+        new = boxes['id'] < 0
+        boxes['id'][new] = self._next + np.arange(new.sum())
+        self._next += int(new.sum())
+        self._objects, self._time = np.concatenate((objects, boxes[new])), time
+        numbers: NDArray[np.int64] = boxes['id']
+        return numbers
+
+    def _predicted(self, time: float) -> Rows:
+        """Move the objects on by their own speeds, and forget old ones."""
+        objects = self._objects[np.abs(time - self._objects['seen']) <= self.memory]
+        if len(objects) > MAX_OBJECTS:
+            objects = objects[np.argsort(objects['seen'], kind='stable')[-MAX_OBJECTS:]]
+        if not len(objects):
+            self._drift = None
+            return objects
+        step = time - self._time
+        if abs(step) > _DRIFT_MEMORY:
+            self._drift = None
+        # A speed that may be none is none: it would lead far away in time.
+        is_under_way = np.abs(objects['speed']) ** 2 > 9 * objects['speed_var']
+        objects['place'] += np.where(is_under_way, objects['speed'] * step, 0.0)
+        unrest = (_UNREST * objects['length']) ** 2 * abs(step)
+        objects['place_var'] += 2 * step * objects['shared_var'] + step**2 * objects['speed_var']
+        objects['place_var'] += unrest * step**2 / 3
+        objects['shared_var'] += step * objects['speed_var'] + unrest * step / 2
+        objects['speed_var'] += unrest
+        # Nobody is expected more than a ship length off.
+        cut = np.minimum(1.0, objects['length'] / np.sqrt(objects['place_var']))
+        objects['place_var'] *= cut**2
+        objects['shared_var'] *= cut
+        return objects
+
+    def _motion(
+        self, objects: Rows, boxes: Rows, step: float, size: complex, hint: Motion | None
+    ) -> tuple[Motion, bool]:
+        """Find how the image moved, and whether that is measured."""
+        shift = (self._drift or 0.0) * (step if abs(step) < math.inf else 0.0)
+        prior = hint or Motion(1.0, shift, _DRIFT_ERROR * abs(shift))
+        if not len(objects) or not len(boxes):
+            return prior, False
+        guess, pairs = self._best_guess(objects, boxes, prior, size)
+        # Ships at the border hardly measure it.
+        steady = boxes['whole'][pairs.boxes] & objects['whole'][pairs.objects]
+        rows = Pairs(*(column[steady] for column in pairs)) if steady.any() else pairs
+        if not len(rows.off):
+            return guess.motion, False
+        has_turned = guess.by == 'turn'
+        tolerance = (GATE + (10.0 if has_turned else 0.0)) * self._noise
+        same = np.abs(rows.off - middle_of(rows.off)) < tolerance
+        if same.sum() < max(_MIN_COMMON, 0.5 * len(same)):
+            return guess.motion, guess.by != 'prior' or self._drift is None
+        turn, shift = fitted(
+            objects['place'][rows.objects[same]],
+            boxes['place'][rows.boxes[same]],
+            guess.motion.turn,
+            has_turned,
+        )
+        return Motion(turn, shift, self._noise / math.sqrt(same.sum())), True
+
+    def _best_guess(
+        self, objects: Rows, boxes: Rows, prior: Motion, size: complex
+    ) -> tuple[_Guess, Pairs]:
+        """Return the guess by which most boxes meet an object, or the first by which many do."""
+        best, best_pairs, most = _Guess('prior', prior), None, -math.inf
+        is_last = _are_last(objects)
+        for guess in self._guesses(objects, boxes, prior, size):
+            moved = guess.motion.of(objects)
+            pairs = assigned(moved, boxes, size)
+            inside = are_inside(moved['place'], size)
+            # Chance alone gives some: wide gates do not make a guess better.
+            gates = math.pi * GATE**2 * (moved['place_var'][inside] + self._noise**2)
+            chance = _LIKE_SHARE * len(boxes) / (size.real * size.imag) * gates.sum()
+            met = len(pairs.off) - chance
+            if met > most + (most > 0):
+                best, best_pairs, most = guess, pairs, met
+            if most >= _EXPLAINED * min(len(boxes), (inside & is_last).sum()) > 0:
+                break
+        return best, best_pairs or assigned(prior.of(objects), boxes, size)
+
+    def _guesses(
+        self, objects: Rows, boxes: Rows, prior: Motion, size: complex
+    ) -> Iterator[_Guess]:
+        """Guess how the image moved: as before, by vote, with a turn, by all that is remembered."""
+        area, noise = size.real * size.imag, self._noise
+        is_steady = prior.error <= 3 * noise
+        if is_steady:
+            yield _Guess('prior', prior)
+        calm = prior._replace(error=0.0)
+        new = _longest(boxes, _VOTERS)
+        old = calm.of(_longest(objects[_are_last(objects)], _VOTERS))
+        if not is_steady and (shift := voted_shift(old, new, noise, area, prior.error)) is not None:
+            yield _Guess('near', prior.shifted(shift, noise))
+        i, j = alike(old, new)
+        if len(i) == 1 and self._drift is None:
+            yield _Guess('lone', prior.shifted(new['place'][j[0]] - old['place'][i[0]], noise))
+        if (shift := voted_shift(old, new, noise, area)) is not None:
+            yield _Guess('shift', prior.shifted(shift, noise))
+        if (turn := voted_turn(old, new, noise)) is not None:
+            shift = voted_shift(Motion(turn, 0.0, 0.0).of(old), new, noise, area)
+            if shift is not None:
+                motion = Motion(turn * prior.turn, turn * prior.shift + shift, 2 * noise)
+                yield _Guess('turn', motion)
+        few = new[: _VOTERS**2 // len(objects) + 3]
+        if (shift := voted_shift(calm.of(objects), few, noise, area)) is not None:
+            yield _Guess('memory', prior.shifted(shift, 2 * noise))
+        if not is_steady:
+            yield _Guess('prior', prior)
+
+    def _update(self, objects: Rows, pairs: Pairs, boxes: Rows) -> None:
+        """Correct objects by their boxes: a Kalman filter for each, the same in x and y."""
+        known, off = objects[pairs.objects], pairs.off
+        inner = anchors(known, boxes)
+        total = anchored_variance(known, boxes, inner)
+        self._measure_noise(known, boxes, np.abs(off) / np.sqrt(total))
+        gain = known['place_var'] / total
+        known['place'] += gain * off
+        known['speed'] += known['shared_var'] / total * off
+        known['speed_var'] -= known['shared_var'] ** 2 / total
+        known['shared_var'] *= 1 - gain
+        known['place_var'] *= 1 - gain
+        length = _new_lengths(known, boxes)
+        # The end that is seen stays where it is.
+        known['place'] -= inner * (length - known['length']) / 2
+        known['length'] = length
+        known['whole'] |= boxes['whole']
+        known['inner'] = np.where(known['whole'], 0, boxes['inner'])
+        known['angle'] += _BLEND * axis_turn(boxes['angle'] - known['angle'])
+        known['hits'] += 1
+        known['seen'] = boxes['seen']
+        objects[pairs.objects] = known
+
+    def _measure_noise(self, known: Rows, boxes: Rows, deviations: FloatArray) -> None:
+        """Measure by steady ships how far places are off."""
+        steady = (known['hits'] >= _MIN_HITS) & boxes['whole']
+        if steady.sum() >= _MIN_STEADY:
+            measured = self._noise * float(np.median(deviations[steady])) / _MEDIAN
+            low, high = _NOISES
+            self._noise = min(max(0.9 * self._noise + 0.1 * measured, low), high)
+
+
+def _followed(place: Places, length: FloatArray, angle: FloatArray) -> NDArray[np.intp]:
+    """Return the rows of the boxes that are followed, in an order that is that of their places."""
+    with np.errstate(invalid='ignore', over='ignore'):
+        usable = (np.abs(place) < MAX_PIXELS) & (length > _MIN_LENGTH) & (length < MAX_PIXELS)
+    rows = np.flatnonzero(usable & np.isfinite(angle))
+    rows = rows[np.lexsort((angle[rows], place[rows].imag, place[rows].real, -length[rows]))]
+    return rows[:MAX_BOXES]
+
+
+def _are_last(objects: Rows) -> NDArray[np.bool_]:
+    """Tell which objects were in the last frame that had any."""
+    last: NDArray[np.bool_] = objects['seen'] == objects['seen'].max()
+    return last
+
+
+def _longest(rows: Rows, count: int) -> Rows:
+    """Return the longest ones, the longest first."""
+    return rows[np.argsort(-rows['length'], kind='stable')[:count]]
+
+
+def _new_lengths(known: Rows, boxes: Rows) -> FloatArray:
+    """Return the lengths of objects, corrected by their boxes: those of a whole ship count."""
+    of_part = np.where(
+        known['whole'], known['length'], np.maximum(known['length'], boxes['length'])
+    )
+    blend = np.where(known['whole'], _BLEND, 1.0)
+    of_whole = known['length'] * (boxes['length'] / known['length']) ** blend
+    lengths: FloatArray = np.where(boxes['whole'], of_whole, of_part)
+    return lengths
