@@ -120,24 +120,45 @@ def _is_pose(row: Fields) -> bool:
     numbers = text.parse_numbers(row[1:])
     if skew(numbers[:CORNERS_COUNT]) <= SKEW:
         return False
+    if len(numbers) <= CORNERS_COUNT + 1 and _least_skew(numbers[:CORNERS_COUNT]) > SKEW:
+        # Four points that are no box in any order; the two key points may be amidships.
+        spread = 0.0
+    else:
+        spread = 0.5
     rests = [numbers[UPRIGHT_COUNT : len(numbers) - following] for following in range(3)]
     return any(
         len(rest) % step == 0
-        and _are_key_points(numbers[:UPRIGHT_COUNT], rest[::step], rest[1::step])
+        and _are_key_points(numbers[:UPRIGHT_COUNT], rest[::step], rest[1::step], spread)
         for rest in rests
         for step in (2, 3)
     )
 
 
-def _are_key_points(box: Sequence[float], xs: Sequence[float], ys: Sequence[float]) -> bool:
-    """Return whether points lie in an upright box and span it, and its size is no such point."""
+def _least_skew(corners: Sequence[float]) -> float:
+    """Return the `skew` of four points in the order in which it is least."""
+    first, second, third, fourth = (corners[i : i + 2] for i in range(0, CORNERS_COUNT, 2))
+    orders = (
+        (first, second, third, fourth), (first, third, second, fourth),
+        (first, second, fourth, third),
+    )  # fmt: skip
+    return min(skew([value for point in order for value in point]) for order in orders)
+
+
+def _are_key_points(
+    box: Sequence[float], xs: Sequence[float], ys: Sequence[float], spread: float
+) -> bool:
+    """
+    Return whether points lie in an upright box, and its size is no such point.
+
+    They extend over more than `spread` of it.
+    """
     seen = [(x, y) for x, y in zip(xs, ys, strict=True) if x or y]
     if len(seen) < 2:
         return False
     sides = list(zip(box[:2], box[2:], zip(*seen, strict=True), strict=True))
     return (
         all(_contains(centre, size, values) for centre, size, values in sides)
-        and any(max(values) - min(values) > size / 2 for _, size, values in sides)
+        and any(max(values) - min(values) > spread * size for _, size, values in sides)
         and any(_is_apart(size, (centre, *values)) for centre, size, values in sides)
     )
 

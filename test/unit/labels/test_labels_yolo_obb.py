@@ -195,6 +195,14 @@ def test_poses_are_refused(put: Put, points: int, visibility: str) -> None:
         list(read_labels(put('a.txt', '\n'.join(lines)), 'yolo_obb', image_size=SIZE))
 
 
+@pytest.mark.parametrize('end', ['', ' 0.75'])
+def test_poses_of_two_points_amidships_are_refused(put: Put, end: str) -> None:
+    # Ultralytics' save_txt: a box, and the middles of both sides of a ship.
+    line = f'0 0.316406 0.34375 0.387542 0.393077 0.347461 0.271432 0.285351 0.416068{end}\n'
+    with pytest.raises(LabelError, match='look like poses'):
+        list(read_labels(put('a.txt', line), image_size=SIZE))
+
+
 @given(
     boxes=st.lists(
         st.tuples(*[st.floats(0.1, 0.9)] * 2, *[st.floats(0.01, 0.5)] * 2, st.floats(0, 3.2)),
