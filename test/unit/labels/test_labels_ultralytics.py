@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,6 +46,42 @@ def test_without_a_file_name_the_id_names_the_image(put: Put) -> None:
     document = [{'image_id': 17, 'category_id': 0, 'score': 1, 'rbox': RBOX}]
     (labels,) = read_labels(put('predictions.json', json.dumps(document)))
     assert labels.image == '17'
+
+
+def _put(put: Put, *numbers: int, old: bool = False) -> Path:
+    """Write predictions of these classes, as versions before 8.3.49 if `old`, and class names."""
+    put('data.yaml', 'names: [ship, tug, barge]')
+    record = {name: value for name, value in RECORD.items() if not (old and name == 'file_name')}
+    document = [{**record, 'rbox': RBOX, 'category_id': number} for number in numbers]
+    return put('predictions.json', json.dumps(document))
+
+
+@pytest.mark.parametrize(
+    ('numbers', 'old', 'classes'),
+    [
+        ((1, 2), False, ('ship', 'tug')),
+        ((2, 3), True, ('tug', 'barge')),
+        ((0, 2), True, ('ship', 'barge')),
+        ((0, 2), False, ('ship', 'barge')),
+    ],
+)
+def test_a_file_beside_names_the_classes(
+    put: Put, numbers: tuple[int, ...], old: bool, classes: tuple[str, ...]
+) -> None:
+    (labels,) = read_labels(_put(put, *numbers, old=old))
+    assert labels.class_ids == classes
+
+
+def test_names_that_do_not_fit_for_certain_are_refused(put: Put) -> None:
+    with pytest.raises(LabelError, match=r'may begin with 0 or with 1, so the names in data\.yaml'):
+        list(read_labels(_put(put, 1, 2, old=True)))
+
+
+def test_a_number_without_a_name_is_reported(put: Put) -> None:
+    errors: list[LabelError] = []
+    (labels,) = read_labels(_put(put, 1, 4), on_error=errors.append)
+    assert labels.class_ids == ('ship',)
+    assert [error.message for error in errors] == ['[1]: class 3 has no name in data.yaml']
 
 
 @pytest.mark.parametrize(
