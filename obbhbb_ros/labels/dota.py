@@ -17,62 +17,87 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import partial
+from itertools import compress
 from pathlib import Path
 
+import numpy as np
+
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import text
 from obbhbb_ros.labels.documents import parse_difficulty
+from obbhbb_ros.labels.extras import Extras
+from obbhbb_ros.labels.extras import only_if_any
 from obbhbb_ros.labels.folders import write_per_image
+from obbhbb_ros.labels.image_grouper import concatenated
 from obbhbb_ros.labels.image_labels import ImageLabels
-from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
-from obbhbb_ros.labels.yolo_lines import skew
+from obbhbb_ros.labels.yolo_lines import skews
 
 HEADER = re.compile(r'\W*(imagesource|gsd|acquisition dates)\W*:', re.IGNORECASE)
 FIELDS = 'x1 y1 x2 y2 x3 y3 x4 y4 category [difficulty]'
 COUNTS = (9, 10)
-# How far the edges of a box may be from parallel where its category is a number, as `skew` says.
+# How far the edges of a box may be from parallel where its category is a number, as `skews` says.
 MAX_SKEW = 0.5
 # Orders of the last three corners that differ by more than the direction.
 ORDERS = ((2, 3, 4, 5, 6, 7), (2, 3, 6, 7, 4, 5), (4, 5, 2, 3, 6, 7))
 
 
 def _read(file: LabelFile) -> list[ImageLabels]:
-    boxes = text.read_boxes(file, _parse)
-    if _are_fractions(boxes):
+    tables = list(file.parse_blocks(text.filled_blocks(file), partial(_table, file)))
+    labels = concatenated(tables) if tables else file.image(file.path.stem, [])
+    if _are_fractions(labels.corners):
         raise file.error('the coordinates are fractions of the image, those of DOTA are pixels')
-    return [file.image(file.path.stem, boxes)]
+    return [labels]
 
 
-def _are_fractions(boxes: Sequence[Box]) -> bool:
-    return all(0.0 <= value <= 1.0 for box in boxes for value in box.corners) and any(
-        0.0 < value < 1.0 for box in boxes for value in box.corners
+def _are_fractions(corners: FloatArray) -> bool:
+    within = ((corners >= 0.0) & (corners <= 1.0)).all()
+    return bool(within and ((corners > 0.0) & (corners < 1.0)).any())
+
+
+def _table(file: LabelFile, lines: Sequence[str]) -> ImageLabels:
+    corners, categories, difficulties = _parse(lines)
+    return file.table(
+        file.path.stem,
+        corners.reshape(-1, 4, 2),
+        categories,
+        extras=Extras(difficulty=only_if_any(difficulties, np.int64)),
     )
 
 
-def _parse(line: str) -> Box | None:
-    if HEADER.match(line):
-        return None
-    fields = _split(line)
-    if len(fields) not in COUNTS:
-        raise ValueError(f'{len(fields)} fields, expected 9 or 10: {FIELDS}')
-    corners = text.parse_numbers(fields[:8])
-    if text.is_number(fields[8]):
-        _check_number(corners, fields[8])
-    difficulty = parse_difficulty(fields[9] if len(fields) > COUNTS[0] else '')
-    return Box(corners, fields[8], difficulty=difficulty)
+def _parse(lines: Sequence[str]) -> tuple[FloatArray, Sequence[str], Sequence[int]]:
+    """Return the corners, (N, 8), categories and difficulties of lines; header lines have none."""
+    rows = [_split(line) for line in lines if not HEADER.match(line)]
+    if not rows:
+        return np.zeros((0, 8)), (), ()
+    if not {*map(len, rows)} <= {*COUNTS}:
+        raise ValueError(f'{len(rows[0])} fields, expected 9 or 10: {FIELDS}')
+    filled = (row if len(row) == COUNTS[1] else [*row, ''] for row in rows)
+    *coordinates, categories, levels = zip(*filled, strict=True)
+    corners = text.parse_columns(coordinates)
+    _check_numbers(corners, categories)
+    known = {level: parse_difficulty(level) for level in {*levels}}
+    return corners, categories, [known[level] for level in levels]
 
 
-def _check_number(corners: list[float], category: str) -> None:
-    """Raise ValueError unless a line of numbers is a box with a number as its category."""
-    if not text.is_index(category):
-        raise ValueError(f'category {category!r} is a number: the line is of another format')
-    if text.is_normalised(corners):
+def _check_numbers(corners: FloatArray, categories: Sequence[str]) -> None:
+    """Raise ValueError unless lines of numbers are boxes with numbers as their categories."""
+    numbers = {name: float(name) for name in {*categories} if text.is_number(name)}
+    if not numbers:
+        return
+    for category in numbers:
+        if not text.is_index(category):
+            raise ValueError(f'category {category!r} is a number: the line is of another format')
+    rows = [name in numbers for name in categories]
+    corners, values = corners[rows], [numbers[name] for name in compress(categories, rows)]
+    if text.are_normalised(corners).any():
         raise ValueError('fractions of the image and no name of a category: is it yolo_obb?')
-    gap = min(skew([*corners[:2], *(corners[i] for i in order)]) for order in ORDERS)
-    if not gap <= MAX_SKEW:
+    gap = np.min([skews(corners[:, [0, 1, *order]]) for order in ORDERS], axis=0)
+    if not (gap <= MAX_SKEW).all():
         raise ValueError('the first eight of these numbers are not the corners of a box')
-    if skew([*corners[1:], float(category)]) <= gap:
+    if (skews(np.column_stack((corners[:, 1:], values))) <= gap).any():
         raise ValueError('a number, then corners: YOLO-OBB in pixels? They would be dota, too')
 
 
@@ -104,7 +129,7 @@ def _looks_like_box(fields: list[str]) -> bool:
     if len(fields) not in COUNTS or not all(map(text.is_number, fields[:8])):
         return False
     try:
-        return _parse(' '.join(fields)) is not None
+        return bool(_parse([' '.join(fields)])[1])
     except ValueError:
         return False
 

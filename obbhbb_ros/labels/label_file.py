@@ -20,6 +20,7 @@ import numpy as np
 
 from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.labels.extras import NO_EXTRAS
 from obbhbb_ros.labels.extras import NO_PROPERTIES
 from obbhbb_ros.labels.extras import NO_SET
 from obbhbb_ros.labels.extras import Extras
@@ -206,6 +207,33 @@ class LabelFile:
                 file_name=file_name,
                 label_set=label_set,
             ),
+        )
+
+    def table(
+        self,
+        name: str,
+        corners: FloatArray,
+        class_ids: Sequence[str],
+        *,
+        ids: Sequence[str] | None = None,
+        scores: FloatArray | None = None,
+        reference: FloatArray | None = None,
+        size: ImageSize | None = None,
+        extras: Extras = NO_EXTRAS,
+    ) -> ImageLabels:
+        """Collect N boxes that are columns already: corners, (N, 4, 2), and what else is known."""
+        count = len(class_ids)
+        return ImageLabels(
+            image=name,
+            corners=corners,
+            class_ids=tuple(class_ids),
+            ids=('',) * count if ids is None else tuple(ids),
+            scores=np.ones(count) if scores is None else scores,
+            reference=np.full((count, 4), np.nan) if reference is None else reference,
+            hulls=(None,) * count,
+            size=self.image_size or size,
+            source=self.path,
+            extras=extras,
         )
 
     def images(

@@ -6,7 +6,6 @@ from __future__ import annotations
 import codecs
 import csv
 import math
-from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Sequence
@@ -16,10 +15,10 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from obbhbb_ros.files import write_pieces
 from obbhbb_ros.geometry.boxes import FloatArray
-from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import FileError
 from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile
@@ -42,6 +41,9 @@ PACKINGS = (
     (codecs.BOM_UTF16_BE, 'UTF-16 text: save it as UTF-8'),
 )
 SHOWN = 60
+# Boxes at the border of an image may extend beyond it, but not by a whole image.
+LEAST_FRACTION = -1.0
+MOST_FRACTION = 2.0
 
 
 def packing(data: bytes) -> str:
@@ -114,17 +116,6 @@ def filled_blocks(file: LabelFile) -> Iterator[Block]:
             filled = [number for number, _ in kept], [line for _, line in kept]
         if filled[0]:
             yield filled
-
-
-def read_boxes(file: LabelFile, parse: Callable[[str], Box | None]) -> list[Box]:
-    """
-    Parse a file with one record per line; blank lines are ignored.
-
-    `parse` gets a line and returns a Box, or None if the line holds no box. It raises ValueError if
-    the line is malformed.
-    """
-    boxes = (box for _, _, box in file.parse_records(filled_lines(file), parse))
-    return [box for box in boxes if box is not None]
 
 
 def filled_lines(file: LabelFile) -> Iterator[Record[str]]:
@@ -211,8 +202,6 @@ def is_number(field: str) -> bool:
     """Return whether a field is a finite number."""
     if field[:1].isalpha():
         return False
-    if field[:1].isalpha():
-        return False
     try:
         parse_number(field)
     except ValueError:
@@ -226,13 +215,15 @@ def is_index(field: str) -> bool:
 
 
 def is_normalised(values: Iterable[float]) -> bool:
-    """
-    Return whether coordinates can be fractions of an image.
-
-    Boxes at the border may extend beyond the image, but not by a whole image.
-    """
+    """Return whether coordinates can be fractions of an image."""
     values = list(values)
-    return not values or (min(values) >= -1.0 and max(values) <= 2.0)
+    return not values or (min(values) >= LEAST_FRACTION and max(values) <= MOST_FRACTION)
+
+
+def are_normalised(rows: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return for each of N rows, (N, K), whether it `is_normalised`, shape (N,)."""
+    within: npt.NDArray[np.bool_] = (rows >= LEAST_FRACTION) & (rows <= MOST_FRACTION)
+    return np.logical_and.reduce(within, axis=1)
 
 
 def join_numbers(values: Iterable[float]) -> str:

@@ -32,9 +32,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import shapes
 from obbhbb_ros.labels import text
+from obbhbb_ros.labels.class_names import ClassNames
 from obbhbb_ros.labels.class_names import find_class_names
+from obbhbb_ros.labels.extras import Extras
 from obbhbb_ros.labels.extras import LabelSet
 from obbhbb_ros.labels.folders import target_files
 from obbhbb_ros.labels.image_border import clip_to_image
@@ -46,15 +49,18 @@ from obbhbb_ros.labels.image_labels import ImageSize
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelError
 from obbhbb_ros.labels.label_file import LabelFile
+from obbhbb_ros.labels.label_file import Record
 from obbhbb_ros.labels.label_format import Format
 from obbhbb_ros.labels.yolo_classes import number_classes
 from obbhbb_ros.labels.yolo_lines import CORNERS_COUNT
 from obbhbb_ros.labels.yolo_lines import POLYGON_FIELDS
+from obbhbb_ros.labels.yolo_lines import UPRIGHT_COUNT
 from obbhbb_ros.labels.yolo_lines import UPRIGHT_FIELDS
 from obbhbb_ros.labels.yolo_lines import Ends
 from obbhbb_ros.labels.yolo_lines import Fields
 from obbhbb_ros.labels.yolo_lines import YoloLine
 from obbhbb_ros.labels.yolo_lines import parse_polygon
+from obbhbb_ros.labels.yolo_lines import parse_table
 from obbhbb_ros.labels.yolo_lines import parse_upright
 from obbhbb_ros.labels.yolo_lines import polygon_ends
 from obbhbb_ros.labels.yolo_lines import split_lines
@@ -64,11 +70,29 @@ ONE_IMAGE = ''
 
 
 class Layout(NamedTuple):
-    """How to read the lines of a format: what follows the box, a line, and its box in pixels."""
+    """
+    How to read the lines of a format.
 
+    Attributes
+    ----------
+    size : int
+        Coordinates of plain lines, which are read by columns.
+    ends : callable
+        What follows the coordinates.
+    parse : callable
+        Parses a line.
+    place : callable
+        Returns the box of a line in pixels.
+    table : callable
+        Returns the corners, (N, 4, 2), and reference boxes, (N, 4) or None, of the coordinates of
+        N plain lines in pixels.
+    """
+
+    size: int
     ends: Callable[[Sequence[Fields]], Ends]
     parse: Callable[[str, Ends], YoloLine]
     place: Callable[[Box, list[float], ImageSize], shapes.Outlined]
+    table: Callable[[FloatArray], tuple[FloatArray, FloatArray | None]]
 
 
 def _place_upright(box: Box, coordinates: list[float], size: ImageSize) -> shapes.Outlined:
@@ -78,11 +102,21 @@ def _place_upright(box: Box, coordinates: list[float], size: ImageSize) -> shape
     return shapes.Outlined(ONE_IMAGE, box._replace(corners=corners, reference=reference))
 
 
+def _upright_table(coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
+    low, sides = coordinates[:, :2] - coordinates[:, 2:] / 2, coordinates[:, 2:]
+    reference = np.hstack((low, low + sides))
+    return shapes.upright_rows(reference), reference
+
+
 def _place_polygon(box: Box, coordinates: list[float], size: ImageSize) -> shapes.Outlined:
     points = _scaled(coordinates, size)
     if len(points) == CORNERS_COUNT:
         return shapes.Outlined(ONE_IMAGE, box._replace(corners=points))
     return shapes.Outlined(ONE_IMAGE, box, [np.array(points).reshape(-1, 2)])
+
+
+def _polygon_table(coordinates: FloatArray) -> tuple[FloatArray, None]:
+    return coordinates.reshape(-1, 4, 2), None
 
 
 def _scaled(coordinates: list[float], size: ImageSize) -> list[float]:
@@ -92,11 +126,45 @@ def _scaled(coordinates: list[float], size: ImageSize) -> list[float]:
 def _read(layout: Layout, file: LabelFile) -> list[ImageLabels]:
     names = find_class_names(file.path.parent)
     lines = list(text.filled_lines(file))
+    size = file.image_size or _stored_size(file, needed=False)
+    if lines and size is not None:
+        # What one line makes impossible is said of that line below.
+        with suppress(ValueError):
+            return [_read_table(layout, file, names, [line for _, _, line in lines], size)]
+    return [_read_lines(layout, file, names, lines, size)]
+
+
+def _read_table(
+    layout: Layout, file: LabelFile, names: ClassNames, lines: Sequence[str], size: ImageSize
+) -> ImageLabels:
+    """Read lines by columns; raise ValueError, without a reason, if one is not plain."""
+    table = parse_table(list(map(str.split, lines)), layout.ends, layout.size)
+    corners, reference = layout.table(table.coordinates * np.resize(size, layout.size))
+    known = {index: names.name(index) for index in {*table.class_indices}}
+    return file.table(
+        file.path.stem,
+        corners,
+        [known[index] for index in table.class_indices],
+        ids=table.tracks,
+        scores=table.scores,
+        reference=reference,
+        size=size,
+        extras=Extras(label_set=LabelSet(class_names=names.names)),
+    )
+
+
+def _read_lines(
+    layout: Layout,
+    file: LabelFile,
+    names: ClassNames,
+    lines: Sequence[Record[str]],
+    size: ImageSize | None,
+) -> ImageLabels:
+    """Read lines one by one; report and skip those that are malformed."""
     try:
         ends = layout.ends(split_lines([line for _, _, line in lines]))
     except ValueError as error:
         raise file.error(str(error)) from None
-    size = file.image_size or _stored_size(file, needed=False)
 
     def parse(line: str) -> shapes.Outlined:
         parsed = layout.parse(line, ends)
@@ -108,7 +176,7 @@ def _read(layout: Layout, file: LabelFile) -> list[ImageLabels]:
     if boxes and size is None:
         _stored_size(file, needed=True)
     label_set = LabelSet(class_names=names.names)
-    return [file.image(file.path.stem, boxes, size, label_set=label_set)]
+    return file.image(file.path.stem, boxes, size, label_set=label_set)
 
 
 def _stored_size(file: LabelFile, needed: bool) -> ImageSize | None:
@@ -173,8 +241,8 @@ def _fits(layout: Layout, head: str) -> bool:
     return False
 
 
-UPRIGHT_LAYOUT = Layout(upright_ends, parse_upright, _place_upright)
-POLYGON_LAYOUT = Layout(polygon_ends, parse_polygon, _place_polygon)
+UPRIGHT_LAYOUT = Layout(UPRIGHT_COUNT, upright_ends, parse_upright, _place_upright, _upright_table)
+POLYGON_LAYOUT = Layout(CORNERS_COUNT, polygon_ends, parse_polygon, _place_polygon, _polygon_table)
 UPRIGHT = Format(
     name='yolo',
     suffixes=('.txt',),

@@ -9,10 +9,14 @@ written without a fraction, and confidences hardly ever are whole.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from collections.abc import Sequence
+from itertools import chain
 from typing import NamedTuple
 
+import numpy as np
+
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import text
 
 Fields = Sequence[str]
@@ -44,6 +48,15 @@ class YoloLine(NamedTuple):
     track: str
 
 
+class YoloTable(NamedTuple):
+    """N lines with K coordinates, (N, K); scores, (N,), are 1.0 and tracks '' if there are none."""
+
+    class_indices: Sequence[str]
+    coordinates: FloatArray
+    scores: FloatArray
+    tracks: Sequence[str]
+
+
 def split_lines(lines: Sequence[str]) -> list[Fields]:
     """Split lines into fields, and leave out those with words where numbers belong."""
     rows = [line.split() for line in lines]
@@ -52,6 +65,8 @@ def split_lines(lines: Sequence[str]) -> list[Fields]:
 
 def upright_ends(rows: Sequence[Fields]) -> Ends:
     """Tell what follows the size of upright boxes; raise ValueError if it may be an angle."""
+    if {*map(len, rows)} == {UPRIGHT_COUNT + 3}:
+        return Ends(confidence=True, track=True)
     last = [row[-1] for row in rows if len(row) == UPRIGHT_COUNT + 2]
     if _is_track_column(last):
         if len(set(last)) < len(last):
@@ -69,7 +84,7 @@ def polygon_ends(rows: Sequence[Fields]) -> Ends:
     """Tell what follows the points; raise ValueError if it may be a point or something else."""
     rows = [row for row in rows if len(row) > CORNERS_COUNT]
     sample = rows[:SAMPLE]
-    if sample and 2 * sum(map(_is_pose, sample)) >= len(sample):
+    if sample and not _are_boxes(sample) and 2 * sum(map(_is_pose, sample)) >= len(sample):
         raise ValueError('the lines look like poses: a box (x y w h) and key points, not corners')
     odd = [row for row in rows if len(row) % 2]
     even = [row[-1] for row in rows if not len(row) % 2]
@@ -107,6 +122,16 @@ def _starts_with_box(row: Fields) -> bool:
     if len(row) != CORNERS_COUNT + 3 or not all(map(text.is_number, row[1:9])):
         return False
     return skew(text.parse_numbers(row[1:9])) <= SKEW
+
+
+def _are_boxes(rows: Sequence[Fields]) -> bool:
+    """Return whether all lines begin with the corners of boxes, so that none is a pose."""
+    fields = chain.from_iterable(row[1 : CORNERS_COUNT + 1] for row in rows)
+    try:
+        corners = np.fromiter(map(float, fields), np.float64)
+    except ValueError:
+        return False
+    return bool((skews(corners.reshape(-1, CORNERS_COUNT)) <= SKEW).all())
 
 
 def _is_pose(row: Fields) -> bool:
@@ -174,15 +199,48 @@ def _is_apart(value: float, others: Sequence[float]) -> bool:
 
 
 def skew(corners: Sequence[float]) -> float:
-    """
-    Return how far the corners x1 y1 … x4 y4 are from a parallelogram, as a share of a diagonal.
+    """Return how far the corners x1 y1 … x4 y4 are from a parallelogram, see `skews`."""
+    return float(skews(np.array([corners]))[0])
 
-    The result is 0 if they are all the same, and NaN if it overflows.
+
+def skews(corners: FloatArray) -> FloatArray:
     """
-    ax, ay, bx, by, cx, cy, dx, dy = corners
-    longest = max(math.dist((ax, ay), (cx, cy)), math.dist((bx, by), (dx, dy)))
-    gap = math.hypot(ax - bx + cx - dx, ay - by + cy - dy)
-    return gap / longest if longest else gap
+    Return how far N boxes are from parallelograms, as a share of their longer diagonal, (N,).
+
+    `corners` has x1 y1 … x4 y4 in rows, (N, 8). The result is 0 where they are all the same, and
+    NaN where it overflows.
+    """
+    ax, ay, bx, by, cx, cy, dx, dy = corners.T
+    with np.errstate(over='ignore', invalid='ignore'):
+        longest = np.maximum(np.hypot(ax - cx, ay - cy), np.hypot(bx - dx, by - dy))
+        gap = np.hypot(ax - bx + cx - dx, ay - by + cy - dy)
+        return gap / np.where(longest == 0.0, 1.0, longest)
+
+
+def parse_table(
+    rows: Sequence[Fields], ends_of: Callable[[Sequence[Fields]], Ends], count: int
+) -> YoloTable:
+    """
+    Parse lines with `count` coordinates by columns.
+
+    Raises ValueError, without a reason, if one of them is malformed or has another number of them.
+    """
+    indices, *columns = zip(*rows, strict=True)
+    numbers = text.parse_columns(columns)
+    confidence, track = ends = ends_of(rows)
+    coordinates, scores = numbers[:, :count], np.ones(len(rows))
+    tracks = columns[-1] if track else ('',) * len(rows)
+    if confidence:
+        scores = numbers[:, count]
+    if not (
+        len(columns) == count + sum(ends)
+        and all(map(text.is_index, {*indices}))
+        and all(map(text.is_index, tracks if track else ()))
+        and text.are_normalised(coordinates).all()
+        and ((scores >= 0.0) & (scores <= 1.0)).all()
+    ):
+        raise ValueError
+    return YoloTable(indices, coordinates, scores, tracks)
 
 
 def parse_upright(line: str, ends: Ends) -> YoloLine:
