@@ -32,6 +32,8 @@ PLOTS = ['matplotlib>=3.6', 'jinja2>=3.0']
 IMAGES = ['pillow>=10.1']
 # The peers of the benchmarks.
 PEERS = ['supervision>=0.27']
+# What the places of ships are held against in the tests.
+GEODESY = ['pymap3d>=3.0']
 GEO = ['geopandas>=0.14', 'pyogrio>=0.7', 'pyproj>=3.4', 'rasterio>=1.3']
 ARROW = ['pyarrow>=16.0']
 # What loads our labels in the tests, where it is installed.
@@ -104,6 +106,7 @@ setup(
             *CFDP,
             *ENGINES,
             *GEO,
+            *GEODESY,
             *IMAGES,
             *LINT,
         ],

@@ -15,6 +15,11 @@ from obbhbb_ros.downlink import chips
 from obbhbb_ros.downlink import crops
 from obbhbb_ros.downlink import joiner
 from obbhbb_ros.downlink import merging
+from obbhbb_ros.earth import ellipsoid
+from obbhbb_ros.earth import pinhole
+from obbhbb_ros.earth import placement
+from obbhbb_ros.earth import pose
+from obbhbb_ros.earth import pose_track
 from obbhbb_ros.geometry import boxes
 from obbhbb_ros.geometry import converter
 from obbhbb_ros.geometry import methods
@@ -30,6 +35,15 @@ WITH_EXAMPLES = (
     boxes.OrientedBoxes.from_corners,
     boxes.OrientedBoxes.from_polygons,
     boxes.OrientedBoxes.from_xywhr,
+    ellipsoid.east_north_up,
+    ellipsoid.first_hits,
+    ellipsoid.to_ecef,
+    ellipsoid.to_geodetic,
+    pinhole.Pinhole,
+    placement.place,
+    pose.CameraPose,
+    pose.Fix.from_message,
+    pose_track.SampleTrack,
     converter.HullRule,
     converter.centers_and_extents,
     converter.convert,

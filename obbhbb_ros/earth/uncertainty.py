@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+How well places are known, given how well the pose is.
+
+Near the horizon the errors of a place are no straight function of those of the attitude: at 15
+degrees above it a linear one gives 201 m where 222 m are true. So the pose is moved along six
+directions by √3 standard deviations each way, and first and second differences are taken.
+
+Source: Nørgaard, Poulsen and Ravn, "New developments in state estimation for nonlinear systems",
+Automatica 36 (2000), the covariance of the filter DD2.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from obbhbb_ros.earth.ellipsoid import first_hits
+from obbhbb_ros.earth.pose import CameraPose
+from obbhbb_ros.earth.quaternions import matrices_of_vectors
+from obbhbb_ros.geometry.boxes import FloatArray
+
+__all__ = ['covariances']
+
+# The squared step, in standard deviations: right to the fourth moment of a Gaussian.
+_SQUARED_STEP = 3.0
+_FIRST = 1.0 / (2.0 * np.sqrt(_SQUARED_STEP))
+# The number of ships at a time, so that the temporaries stay in a core's cache.
+_BLOCK = 256
+_SECOND = np.sqrt(_SQUARED_STEP - 1.0) / (2.0 * _SQUARED_STEP)
+
+
+def covariances(
+    pose: CameraPose, ends: FloatArray, axes: FloatArray, surface_height: float
+) -> FloatArray | None:
+    """
+    Compute the covariances of ships.
+
+    Parameters
+    ----------
+    pose : CameraPose
+        The pose of the camera.
+    ends : ndarray, shape (3, 2, N)
+        Bow and stern, ECEF, metres.
+    axes : ndarray, shape (2, 3, N)
+        East and north at the ships, in ECEF.
+    surface_height : float
+        Height of the water above the ellipsoid, metres.
+
+    Returns
+    -------
+    ndarray, shape (N, 4, 4), or None
+        Of east (m), north (m), length (m) and course (rad); None if that of the pose is not known.
+    """
+    rays = ends - pose.position[:, None, None]
+    steps = _steps(pose, rays)
+    if steps is None:
+        return None
+    matrices = np.empty((ends.shape[2], 4, 4))
+    for start in range(0, len(matrices), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        shifts = _shifts(pose, steps, ends[..., part], rays[..., part], surface_height)
+        matrices[part] = _spread(_deviations(shifts, ends[..., part], axes[..., part]))
+    return matrices
+
+
+def _shifts(
+    pose: CameraPose,
+    steps: tuple[FloatArray, FloatArray],
+    ends: FloatArray,
+    rays: FloatArray,
+    surface_height: float,
+) -> FloatArray:
+    """Compute how the steps shift bow and stern, (3, 12, 2, N)."""
+    moves, turns = steps
+    matrices = matrices_of_vectors(turns).transpose(1, 0, 2).reshape(-1, 3)
+    turned = (matrices @ rays.reshape(3, -1)).reshape(3, len(moves), *rays.shape[1:])
+    origins = (pose.position + moves)[:, None, None]
+    hits = first_hits(origins, np.moveaxis(turned, 0, -1), surface_height)
+    return np.moveaxis(hits, -1, 0) - ends[:, None]
+
+
+def _steps(pose: CameraPose, rays: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Give the moves (m) and turns (rad) of the pose, (12, 3) each: six steps there, six back."""
+    if pose.covariance is None:
+        return None
+    # What a turn moves on the ground, so that all directions are in metres.
+    distances = np.sqrt((rays * rays).sum(axis=0))
+    distances = distances[np.isfinite(distances)]
+    lever = float(distances.mean()) if distances.size else 1.0
+    units = np.array((1.0, 1.0, 1.0, lever, lever, lever))
+    try:
+        values, vectors = np.linalg.eigh(pose.covariance * units * units[:, None])
+    except np.linalg.LinAlgError:
+        return None
+    scales = np.sqrt(np.maximum(values, 0.0) * _SQUARED_STEP)
+    steps = (vectors * scales).T / units
+    steps = np.concatenate((steps, -steps))
+    return steps[:, :3], steps[:, 3:]
+
+
+def _deviations(shifts: FloatArray, ends: FloatArray, axes: FloatArray) -> FloatArray:
+    """Turn shifts of bow and stern, (3, K, 2, N), into those of the ship, (4, K, N)."""
+    middle = 0.5 * (shifts[:, :, 0] + shifts[:, :, 1])
+    longer = shifts[:, :, 0] - shifts[:, :, 1]
+    east, north = axes
+    place = [_inner(axis, middle) for axis in (east, north)]
+    hull = ends[:, 0] - ends[:, 1]
+    x, y = ((axis * hull).sum(axis=0) for axis in (east, north))
+    length = np.hypot(x, y)
+    x, y = x / length, y / length
+    along_x, along_y = (_inner(axis, longer) for axis in (east, north))
+    # Of the new hull, along the old one and to the right of it.
+    along, right = length + along_x * x + along_y * y, along_x * y - along_y * x
+    return np.array((*place, np.hypot(along, right) - length, np.arctan2(right, along)))
+
+
+def _inner(axis: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Compute the inner products, (K, N), of axes, (3, N), and vectors, (3, K, N)."""
+    product: FloatArray = axis[0] * vectors[0] + axis[1] * vectors[1] + axis[2] * vectors[2]
+    return product
+
+
+def _spread(deviations: FloatArray) -> FloatArray:
+    """Compute the covariances, (N, 4, 4), of deviations at the steps there and back, (4, K, N)."""
+    there, back = np.split(deviations, 2, axis=1)
+    parts = np.concatenate((_FIRST * (there - back), _SECOND * (there + back)), axis=1)
+    size, _, count = parts.shape
+    matrices = np.empty((size, size, count))
+    for row in range(size):
+        for column in range(row + 1):
+            both = np.einsum('kn,kn->n', parts[row], parts[column])
+            matrices[row, column] = matrices[column, row] = both
+    return matrices.transpose(2, 0, 1)
