@@ -7,13 +7,18 @@ import sqlite3
 from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from dataclasses import field
 from typing import Any
 from typing import NamedTuple
 
-# Keys to try, one by one, behind a damaged place. One damaged page hides fewer rows than this.
-_MAX_SKIPPED = 100_000
+# Behind a damaged place keys are tried one by one, then in steps of this share of the way so far:
+# 10,000 tries reach any key.
+_STEP = 1 / 256
+# In a whole table, besides one for each of its rows.
+_MAX_TRIES = 100_000
+_MAX_KEY = 2**63 - 1
 
 
 class Gap(NamedTuple):
@@ -56,6 +61,7 @@ def rows_around_damage(
     """
     walk = _Walk(database, table, columns, on_gap)
     yield from walk.up_from(1)
+    # Behind a row with a wrong key there may be rows that are reached from the end alone.
     if walk.is_damaged and (tail := walk.start_of_tail()):
         yield from walk.up_from(tail)
     walk.close_gap(None)
@@ -72,50 +78,40 @@ class _Walk:
     seen: set[int] = field(default_factory=set)
     gap: tuple[int, sqlite3.Error] | None = None
     is_damaged: bool = False
+    tries: int = 0
 
     def up_from(self, place: int) -> Iterator[tuple[Any, ...]]:
-        """Read rows from a key on, past damaged places; stop where too many keys fail in a row."""
-        key, skipped, limit = self.columns[0], 0, -1
-        query = (
-            f'SELECT {", ".join(self.columns)} FROM {self.table} WHERE {key} >= ? '
-            f'ORDER BY {key} LIMIT ?'
-        )
-        while skipped < _MAX_SKIPPED:
-            start, is_end = place, True
+        """Read rows from a key on, past damaged places."""
+        row: tuple[Any, ...] | None
+        while place <= _MAX_KEY:
+            first = place
             try:
-                for row in self.database.execute(query, (start, limit)):
-                    # Never go backwards: damage can give a row any key.
-                    place, skipped, is_end = max(place, start + 1, row[0] + 1), 0, False
-                    if row[0] >= start and row[0] not in self.seen:
-                        self.seen.add(row[0])
-                        self.close_gap(row[0] - 1)
-                        yield row
-                if is_end or limit < 0:
-                    return
-                limit = -1
+                for row in self._rows_from(first, -1):
+                    self._check_order(first, row)
+                    place = row[0] + 1
+                    yield self._new(row)
+                return
             except sqlite3.Error as error:
-                self.is_damaged = True
-                if limit > 0:
-                    self.gap = self.gap or (place, error)
-                    place, skipped = place + 1, skipped + 1
-                # One by one now: Python reads ahead, and the row before the damage was not seen.
-                limit = 1
+                self.is_damaged, failure = True, error
+            # Python reads ahead: the row before the damage was not seen.
+            row = self._next_row(place)
+            if row is None:
+                self.gap = self.gap or (place, failure)
+                return
+            place = row[0] + 1
+            yield self._new(row)
 
     def start_of_tail(self) -> int | None:
         """Find the first unread key that can be reached from the end of the table."""
-        key, place, tail, skipped = self.columns[0], 2**63 - 1, None, 0
-        query = f'SELECT {key} FROM {self.table} WHERE {key} <= ? ORDER BY {key} DESC'
-        while skipped < _MAX_SKIPPED:
-            try:
-                for (number,) in self.database.execute(query, (place,)):
-                    if number in self.seen:
-                        return tail
-                    tail, place, skipped = number, min(place, number - 1), 0
-                return tail
-            except sqlite3.Error:
-                if tail is None:
-                    return None
-                place, skipped = place - 1, skipped + 1
+        key = self.columns[0]
+        tail: int | None = None
+        with suppress(sqlite3.Error):
+            for (number,) in self.database.execute(
+                f'SELECT {key} FROM {self.table} ORDER BY {key} DESC'
+            ):
+                if number in self.seen or (tail is not None and number >= tail):
+                    break
+                tail = number
         return tail
 
     def close_gap(self, last: int | None) -> None:
@@ -124,3 +120,49 @@ class _Walk:
             first, error = self.gap
             self.gap = None
             self.on_gap(Gap(first, last, error))
+
+    def _new(self, row: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Write down that a row is read, and return it."""
+        self.seen.add(row[0])
+        self.close_gap(row[0] - 1)
+        return row
+
+    def _rows_from(self, place: int, limit: int) -> sqlite3.Cursor:
+        """Ask for the rows from a key on."""
+        key = self.columns[0]
+        return self.database.execute(
+            f'SELECT {", ".join(self.columns)} FROM {self.table} WHERE {key} >= ? '
+            f'ORDER BY {key} LIMIT ?',
+            (place, limit),
+        )
+
+    def _check_order(self, place: int, row: tuple[Any, ...]) -> None:
+        """Refuse a row that should not come now: damage can give a row any key."""
+        if row[0] < place or row[0] in self.seen:
+            raise sqlite3.DatabaseError('its rows are not in order')
+
+    def _next_row(self, place: int) -> tuple[Any, ...] | None:
+        """Find the first row that can be read, from a key on; None if there is none."""
+        failed, reached, row = place - 1, place, None
+        while reached <= _MAX_KEY and self.tries < _MAX_TRIES + len(self.seen):
+            try:
+                row = self._try(reached)
+                break
+            except sqlite3.Error as error:
+                self.gap = self.gap or (reached, error)
+                failed, reached = reached, reached + 1 + int((reached - place) * _STEP)
+        while reached - failed > 1 and reached <= _MAX_KEY:
+            middle = (failed + reached) // 2
+            try:
+                row, reached = self._try(middle), middle
+            except sqlite3.Error:
+                failed = middle
+        return row
+
+    def _try(self, place: int) -> tuple[Any, ...] | None:
+        """Read the first row from a key on; None if there is none."""
+        self.tries += 1
+        row: tuple[Any, ...] | None = self._rows_from(place, 1).fetchone()
+        if row is not None:
+            self._check_order(place, row)
+        return row

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from obbhbb_ros.damaged_sqlite import Gap
 from obbhbb_ros.damaged_sqlite import lossy_text
 from obbhbb_ros.damaged_sqlite import rows_around_damage
 
@@ -37,7 +38,7 @@ def damage(path: Path, row: int) -> None:
 
 def read(path: Path) -> tuple[list[tuple[int, bytes]], list[range]]:
     """Read the rows, and the keys that are lost."""
-    gaps = []
+    gaps: list[Gap] = []
     with closing(sqlite3.connect(path)) as database:
         database.text_factory = lossy_text
         database.execute('PRAGMA writable_schema = ON')
@@ -84,20 +85,53 @@ def test_a_file_without_its_end_is_read_up_to_there(path: Path) -> None:
     assert gaps == [range(len(rows) + 1, 2001)]
 
 
-def test_rows_behind_a_large_gap_are_read_from_the_end(tmp_path: Path) -> None:
-    far = [(key + 10**9, data) for key, data in ROWS]
-    path = write(tmp_path / 'far.sqlite3', ROWS + far)
-    damage(path, 2000)
+@pytest.mark.parametrize(('groups', 'distance'), [(2, 10**9), (3, 300_000)])
+def test_rows_behind_large_gaps_are_read_after_few_tries(
+    tmp_path: Path, groups: int, distance: int
+) -> None:
+    rows = [
+        (key + group * distance, b'%d ' % group + data)
+        for group in range(groups)
+        for key, data in ROWS
+    ]
+    path = write(tmp_path / 'far.sqlite3', rows)
+    content = bytearray(path.read_bytes())
+    for group in range(groups - 1):
+        start = content.index(b'%d row 002000' % group) // PAGE * PAGE
+        content[start : start + PAGE] = b'\xff' * PAGE
+    path.write_bytes(content)
+    gaps: list[Gap] = []
+    queries: list[str] = []
     with closing(sqlite3.connect(path)) as database:
-        gaps = []
+        database.set_trace_callback(queries.append)
         keys = [key for (key,) in rows_around_damage(database, 'rows', ('key',), gaps.append)]
     assert keys == sorted(set(keys))
-    assert len(keys) > 3950
-    assert keys[-1] == 10**9 + 2000
+    assert len(keys) > groups * 2000 - 50
+    assert keys[-1] == (groups - 1) * distance + 2000
+    assert len(gaps) == groups - 1
+    assert len(queries) < 10_000 * groups
+
+
+def test_the_search_ends_although_a_table_leads_back_to_its_start(path: Path) -> None:
+    # The last page of the list of pages becomes a copy of the first, another one is damaged.
+    content = bytearray(path.read_bytes())
+    starts = [content.index(b'row %06d' % row) // PAGE * PAGE for row in (1, 2000)]
+    content[starts[1] : starts[1] + PAGE] = content[starts[0] : starts[0] + PAGE]
+    path.write_bytes(content)
+    damage(path, 1000)
+    rows, gaps = read(path)
+    assert rows == [row for row in ROWS if not any(row[0] in gap for gap in gaps)]
+    assert len(rows) > 1950
+
+
+def test_the_greatest_key_is_read(tmp_path: Path) -> None:
+    path = write(tmp_path / 'a.sqlite3', [*ROWS, (2**63 - 1, b'last')])
+    damage(path, 1000)
+    assert read(path)[0][-1] == (2**63 - 1, b'last')
 
 
 def test_the_search_ends_where_nothing_can_be_read() -> None:
-    gaps = []
+    gaps: list[Gap] = []
     with closing(sqlite3.connect(':memory:')) as database:
         assert list(rows_around_damage(database, 'rows', ('key',), gaps.append)) == []
     ((first, last, error),) = gaps
