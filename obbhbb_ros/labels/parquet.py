@@ -401,13 +401,24 @@ def _write_batches(
         geo = {'version': '1.0.0', 'primary_column': 'geometry', 'columns': {'geometry': column}}
         schema = schema.append(pa.field('geometry', pa.binary()))
         schema = schema.with_metadata({'geo': json.dumps(geo)})
-    with replacing(path) as whole, parquet.ParquetWriter(whole, schema) as writer:
+    repeated = [field.name for field in schema if _repeats(field)]
+    with (
+        replacing(path) as whole,
+        parquet.ParquetWriter(whole, schema, use_dictionary=repeated) as writer,
+    ):
         for batch in batches:
             columns = list(batch.columns)
             if system is not None:
                 bounds = [batch[name].to_numpy() for name in BOUNDS]
                 columns.append(pa.array(shapely.to_wkb(shapely.box(*bounds))))
             writer.write_batch(pa.RecordBatch.from_arrays(columns, schema=schema), BATCH_ROWS)
+
+
+def _repeats(field: Any) -> bool:
+    """Tell whether a dictionary of values saves space: of coordinates, it costs time and space."""
+    import pyarrow as pa
+
+    return field.name != 'geometry' and not pa.types.is_floating(field.type)
 
 
 FORMAT = Format(

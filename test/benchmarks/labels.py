@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import statistics
 import subprocess
 import sys
@@ -228,9 +229,10 @@ class Cost(NamedTuple):
 
 def run(*arguments: str) -> Cost:
     """Run Python with these arguments, and return what the process cost."""
-    done = subprocess.run(
-        [sys.executable, '-c', MEASURE, *arguments], stdout=subprocess.PIPE, text=True, check=True
-    )
+    # As installed: both with their bytecode.
+    environment = {**os.environ, 'PYTHONDONTWRITEBYTECODE': ''}
+    measure = [sys.executable, '-c', MEASURE, *arguments]
+    done = subprocess.run(measure, stdout=subprocess.PIPE, text=True, check=True, env=environment)
     return Cost(*map(float, done.stdout.split()))
 
 

@@ -159,6 +159,16 @@ def test_parquet_to_parquet_keeps_rows_columns_and_types(tmp_path: Path) -> None
     assert table.select(BOUNDS).to_pylist()[0] == dict(zip(BOUNDS, (20, 30, 80, 50), strict=True))
 
 
+def test_texts_have_a_dictionary_and_coordinates_do_not(tmp_path: Path) -> None:
+    """A dictionary of coordinates took four fifths of the time, and a fifth of the file."""
+    put_rows(tmp_path / 'in.parquet', rows=4, image=['b', 'a', 'b', 'c'])
+    assert convert(tmp_path / 'in.parquet', tmp_path / 'out.parquet') == 0
+    group = parquet.ParquetFile(tmp_path / 'out.parquet').metadata.row_group(0)
+    columns = [group.column(number) for number in range(group.num_columns)]
+    dictionaries = [column.path_in_schema for column in columns if column.has_dictionary_page]
+    assert dictionaries == ['image']
+
+
 def test_the_summary_counts_images_and_what_was_left_out(tmp_path: Path, capsys) -> None:
     source = put_rows(
         tmp_path / 'in.parquet',
