@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-CVAT XML 1.1 ("CVAT for images"): one file of many images, in pixels.
+CVAT XML 1.1, for images or for video: one file of many images, in pixels.
 
 ::
 
@@ -24,7 +24,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from collections.abc import Mapping
-from typing import TypeAlias
+from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 from obbhbb_ros.geometry.boxes import FloatArray
@@ -40,15 +40,30 @@ from obbhbb_ros.labels.text import is_index
 from obbhbb_ros.labels.text import parse_number
 from obbhbb_ros.labels.text import parse_numbers
 from obbhbb_ros.labels.xml_files import read_xml
+from obbhbb_ros.labels.xml_files import size_of
+from obbhbb_ros.labels.xml_files import text_of
 
 ROOT = 'annotations'
 BOUNDS = ('xtl', 'ytl', 'xbr', 'ybr')
 ROTATION = 'rotation'
 MAX_DIGITS = 18
+FRAME_STEP = re.compile(r'\bstep=(\d{1,9})\b')
 PLACE = ('left', 'top', 'width', 'height')
 
-Shape: TypeAlias = tuple[str, Element]
-"""The number of the image in the file, and the shape."""
+
+class Shape(NamedTuple):
+    """
+    A shape of an image or of a track.
+
+    `image` is the number of the image in the file, or the name of the frame. `track` is the id of
+    the track, '' for none. `problem` says why the shape is not one, '' for a shape.
+    """
+
+    image: str
+    element: Element
+    label: str | None
+    track: str = ''
+    problem: str = ''
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
@@ -58,35 +73,61 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
         size = image_size_of(image.get('width'), image.get('height'))
         number = image.get('id', '')
         image_id = int(number) if is_index(number) and len(number) <= MAX_DIGITS else None
-        rows = boxes.get(str(key), [])
+        rows = boxes.pop(str(key), [])
         yield file.image(image.get('name', ''), rows, size, image_id=image_id)
+    size = size_of(root, 'meta//original_size/width', 'meta//original_size/height')
+    for frame in sorted(boxes):
+        yield file.image(frame, boxes[frame], size)
 
 
 def _records(root: Element, lines: Mapping[Element, int]) -> Iterator[Record[Shape]]:
-    for track in root.iterfind('track'):
-        yield lines[track], f'track {track.get("id", "")}: ', ('', track)
     for key, image in enumerate(root.iterfind('image')):
-        for number, shape in enumerate(image, start=1):
+        for number, element in enumerate(image, start=1):
             # A tag says something of the whole image.
-            if shape.tag != 'tag':
+            if element.tag != 'tag':
                 place = f'image {image.get("name")!r}: shape {number}: '
-                yield lines[shape], place, (str(key), shape)
+                yield lines[element], place, Shape(str(key), element, element.get('label'))
+    filtered = FRAME_STEP.search(text_of(root, 'meta//frame_filter'))
+    step = int(filtered[1]) if filtered else 1
+    for track in root.iterfind('track'):
+        for shape in _track_shapes(track, step):
+            place = f'track {shape.track}: frame {shape.element.get("frame")}: '
+            yield lines[shape.element], place, shape
+
+
+def _track_shapes(track: Element, step: int) -> Iterator[Shape]:
+    previous: int | None = None
+    for element in track:
+        frame, outside = element.get('frame', ''), element.get('outside') == '1'
+        number = int(frame) if is_index(frame) and len(frame) <= MAX_DIGITS else None
+        name = '' if number is None else f'frame_{number:06}'
+        shape = Shape(name, element, track.get('label'), track.get('id', ''))
+        if number is None:
+            yield shape._replace(problem='the frame has no number')
+            continue
+        if previous is not None and number > previous + step:
+            yield shape._replace(problem=f'the shapes since frame {previous} are not there')
+        if not outside:
+            yield shape
+        previous = None if outside else number
 
 
 def _parse(record: Shape) -> shapes.Outlined:
-    image, element = record
-    if element.tag == 'track':
-        raise ValueError('tracks of a video are not read: export as "CVAT for images"')
-    label = _attribute(element, 'label')
+    element = record.element
+    if record.problem:
+        raise ValueError(record.problem)
+    if record.label is None:
+        raise ValueError(f'<{element.tag}> has no attribute label')
     properties = _properties(element)
-    box = Box((), label, properties=properties)
-    if element.tag == 'box':
+    box = Box((), record.label, record.track, properties=properties)
+    if element.tag in BOUNDS_OF:
         rotation = _rotation(element.get(ROTATION), properties.pop(ROTATION, None))
-        corners, reference = shapes.turned_box(_numbers(element, *BOUNDS), rotation)
-        return shapes.Outlined(image, box._replace(corners=corners, reference=reference))
+        corners, reference = shapes.turned_box(BOUNDS_OF[element.tag](element), rotation)
+        return shapes.Outlined(record.image, box._replace(corners=corners, reference=reference))
     if element.tag not in RINGS:
-        raise ValueError(f'a shape <{element.tag}> is not read: only box, polygon and mask')
-    return shapes.Outlined(image, box, [RINGS[element.tag](element)])
+        known = ', '.join((*BOUNDS_OF, *RINGS))
+        raise ValueError(f'a shape <{element.tag}> is not read, only {known}')
+    return shapes.Outlined(record.image, box, [RINGS[element.tag](element)])
 
 
 def _rotation(own: str | None, attribute: str | None) -> float:
@@ -99,6 +140,15 @@ def _rotation(own: str | None, attribute: str | None) -> float:
 def _properties(element: Element) -> dict[str, str]:
     attributes = element.iterfind('attribute')
     return {item.get('name', ''): (item.text or '').strip() for item in attributes}
+
+
+def _box(element: Element) -> list[float]:
+    return _numbers(element, *BOUNDS)
+
+
+def _ellipse(element: Element) -> list[float]:
+    x, y, rx, ry = _numbers(element, 'cx', 'cy', 'rx', 'ry')
+    return shapes.bounds_of_xywh(x - rx, y - ry, 2.0 * rx, 2.0 * ry)
 
 
 def _polygon(element: Element) -> FloatArray:
@@ -114,6 +164,7 @@ def _mask(element: Element) -> FloatArray:
     return masks.mask_ring(runs, int(width), int(height))[:, ::-1] + (left, top)
 
 
+BOUNDS_OF = {'box': _box, 'ellipse': _ellipse}
 RINGS = {'polygon': _polygon, 'mask': _mask}
 
 
@@ -134,7 +185,7 @@ def _attribute(element: Element, name: str) -> str:
 FORMAT = Format(
     name='cvat',
     suffixes=('.xml',),
-    summary='CVAT XML 1.1 of many images: box with rotation, polygon, mask',
+    summary='CVAT XML 1.1 of many images or of a video: box with rotation, ellipse, polygon, mask',
     sniff=lambda head: re.search(f'<{ROOT}[ >]', head) is not None,
     read=_read,
 )

@@ -94,7 +94,9 @@ def test_a_tag_of_an_image_is_no_box(put: Put) -> None:
 @pytest.mark.parametrize(
     ('shape', 'message'),
     [
-        ('<ellipse label="ship" cx="4" cy="4" rx="2" ry="1"/>', 'a shape <ellipse> is not read'),
+        ('<cuboid label="ship" xtl1="4"/>', 'a shape <cuboid> is not read, only box, ellipse, pol'),
+        ('<ellipse label="ship" cx="4" cy="4" rx="-2" ry="1"/>', 'the box has a negative size'),
+        ('<ellipse label="ship" cx="4" cy="4" rx="2"/>', '<ellipse> has no attribute ry'),
         ('<polyline label="ship" points="1,2;3,4"/>', 'a shape <polyline> is not read'),
         (BOX.format('').replace('label="ship"', ''), '<box> has no attribute label'),
         (BOX.format('').replace('xtl="300.00"', ''), '<box> has no attribute xtl'),
@@ -123,9 +125,51 @@ def test_a_shape_that_is_not_understood_is_reported(put: Put, shape: str, messag
     assert message in error.message
 
 
-def test_tracks_of_a_video_are_reported(put: Put) -> None:
+@pytest.mark.parametrize('rotation', [0.0, 30.0])
+def test_an_ellipse_is_the_box_around_it(put: Put, rotation: float) -> None:
+    turn = f' rotation="{rotation}"' if rotation else ''
+    ellipse = f'<ellipse label="ship" cx="400.00" cy="300.00" rx="100.00" ry="20.00"{turn}/>'
+    box = TURNED if rotation else BOX.format('')
+    (labels,) = read_labels(put('a.xml', _cvat(_image(ellipse, box))))
+    np.testing.assert_allclose(labels.corners[0], labels.corners[1])
+    np.testing.assert_array_equal(labels.reference[0], labels.reference[1])
+
+
+def _track(*frames: int, step: int = 1, outside: int = -1) -> str:
+    """Write a track as CVAT exports it for video."""
+    shapes = [
+        BOX.replace('<box ', f'<box frame="{frame}" outside="{int(frame == outside)}" ').format('')
+        for frame in frames
+    ]
+    meta = (
+        f'<meta><task><frame_filter>step={step}</frame_filter><original_size><width>1000</width>'
+        '<height>800</height></original_size></task></meta>'
+    )
+    track = '<track id="7" label="ship" source="manual">\n{}\n</track>'
+    return _cvat(meta, track.format('\n'.join(shapes).replace(' label="ship"', '')))
+
+
+def test_the_shapes_of_a_track_are_in_their_frames(put: Put) -> None:
+    images = list(read_labels(put('a.xml', _track(10, 11, 12, 20, outside=12))))
+    assert [image.image for image in images] == ['frame_000010', 'frame_000011', 'frame_000020']
+    assert {(image.ids, image.class_ids, image.size) for image in images} == {
+        (('7',), ('ship',), (1000, 800))
+    }
+    assert images[0].reference.tolist() == [[300, 280, 500, 320]]
+
+
+@pytest.mark.parametrize(('step', 'missing'), [(1, 2), (5, 1), (10, 0)])
+def test_a_track_of_key_frames_alone_is_reported(put: Put, step: int, missing: int) -> None:
     errors: list[LabelError] = []
-    track = '<track id="7" label="ship"><box frame="0" xtl="1" ytl="1" xbr="2" ybr="2"/></track>'
-    assert list(read_labels(put('a.xml', _cvat(track)), on_error=errors.append)) == []
-    (error,) = errors
-    assert error.message == 'track 7: tracks of a video are not read: export as "CVAT for images"'
+    path = put('a.xml', _track(0, 5, 15, step=step))
+    assert len(list(read_labels(path, on_error=errors.append))) == 3
+    assert len(errors) == missing
+    if missing:
+        assert errors[-1].message == 'track 7: frame 15: the shapes since frame 5 are not there'
+
+
+@pytest.mark.parametrize('frame', ['', '-1', 'x', '9' * 40])
+def test_a_shape_without_a_frame_is_reported(put: Put, frame: str) -> None:
+    text = _track(1).replace('frame="1"', f'frame="{frame}"')
+    with pytest.raises(LabelError, match='the frame has no number'):
+        list(read_labels(put('a.xml', text)))
