@@ -13,7 +13,8 @@ A shape is a box if its type is ``oriented_rectangle`` (LabelMe), ``rotation`` o
 (X-AnyLabeling), each of four corners; a ``rectangle`` of two opposite corners or of four is upright
 and also the reference box. A ``polygon`` is a hull, unless it has four points. Other types are
 reported and not read. The image is named after ``imagePath``; ``group_id`` is the id of a box,
-``score`` its score.
+``score`` its score, and ``difficult`` says that it is. Other members that are not empty are
+properties.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ import numpy as np
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import documents
 from obbhbb_ros.labels import shapes
+from obbhbb_ros.labels.extras import LabelSet
 from obbhbb_ros.labels.image_labels import MIN_HULL_POINTS
 from obbhbb_ros.labels.image_labels import ImageLabels
 from obbhbb_ros.labels.image_names import bare_name
@@ -37,6 +39,9 @@ from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.labels.label_format import Format
 
 CORNERED = ('oriented_rectangle', 'rotation', 'quadrilateral')
+# The direction of a rotated box is that of its first edge.
+KNOWN = ('points', 'label', 'shape_type', 'score', 'group_id', 'difficult', 'direction', 'mask')
+OF_IMAGE = ('shapes', 'version', 'imagePath', 'imageData', 'imageHeight', 'imageWidth')
 
 
 def _read(file: LabelFile) -> Iterator[ImageLabels]:
@@ -48,7 +53,9 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
     records = file.parse_records(
         documents.numbered('shapes', document['shapes']), partial(_shape, name)
     )
-    yield file.image(name, shapes.enclose(file, records).get(name, []), size)
+    boxes = shapes.enclose(file, records).get(name, [])
+    others = tuple(member for member, value in document.items() if value and member not in OF_IMAGE)
+    yield file.image(name, boxes, size, label_set=LabelSet(others=others))
 
 
 def _image_name(path: object) -> str:
@@ -71,6 +78,8 @@ def _shape(image: str, shape: Any) -> shapes.Outlined:
         class_id=documents.plain_text(documents.json_member(shape, 'label')),
         id=documents.plain_text(shape.get('group_id')),
         score=1.0 if score is None else documents.json_number(score, 'score'),
+        difficulty=int(shape.get('difficult') is True),
+        properties=documents.json_properties({n: v for n, v in shape.items() if v}, KNOWN),
     )
     return READERS[kind](image, box, points)
 

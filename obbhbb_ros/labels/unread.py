@@ -19,12 +19,15 @@ from obbhbb_ros.labels.yolo_lines import SKEW
 from obbhbb_ros.labels.yolo_lines import skew
 
 MOT_FIELDS = (9, 10)
+# Frame, track, class, height and width of the image; then a mask.
+MOTS_NUMBERS = 5
 KITTI_FIELDS = (15, 16)
 UCAS_AOD_FIELDS = 13
 YOLO_FIELDS = (9, 10, 11)
 THREE_POINT_FIELDS = (7, 8)
 # The first element, behind declaration and comments.
 ROOT = re.compile(r'<([^\s!?/>]+)')
+PADDLE_OCR = re.compile(r'[^\t\n]+\t\[\{"transcription"')
 # The last lines of the head may be cut off.
 LINES = 5
 
@@ -114,6 +117,21 @@ def _is_mot(line: str) -> bool:
     return whole and frame >= 1 and considered in {-1.0, 0.0, 1.0} and float(fields[8]) <= 1.0
 
 
+def _is_mots(line: str) -> bool:
+    fields = line.split(maxsplit=MOTS_NUMBERS)
+    return (
+        len(fields) > MOTS_NUMBERS
+        and all(is_index(field.removeprefix('-')) for field in fields[:MOTS_NUMBERS])
+        and not is_number(fields[-1].split()[0])
+    )
+
+
+def _is_semantic(head: str) -> bool:
+    paths = json_paths(head)
+    masks = {'[{file_name', '[{category_id', '[{segmentation'}
+    return masks <= paths and paths.isdisjoint({'[{score', '[{image_id', '[{bbox'})
+
+
 def _is_kitti(line: str) -> bool:
     fields = line.split()
     return len(fields) in KITTI_FIELDS and not is_number(fields[0]) and _are_numbers(fields[1:])
@@ -163,6 +181,8 @@ def _has_columns(columns: set[str], head: str) -> bool:
 
 LINES_ADVICE = 'write one JSON document, as COCO or GeoJSON has it'
 SAVE_TXT = 'it does not name the image: write it with save_txt'
+INSTANCES = 'it does not tell ships apart: use the instances, as coco_instances_results.json'
+PICKLE_ADVICE = 'it can run any code: write JSON, as coco_instances_results.json of Detectron2'
 OWN_CODE = 'write its corners as DOTA or CSV'
 UNREAD = (
     _json('Segment Anything (SA-1B) JSON', '{image{', '{annotations['),
@@ -182,6 +202,10 @@ UNREAD = (
     _json('FiftyOne JSON', '{samples['),
     _json('V7 Darwin JSON', '{item{', '{annotations['),
     _json('SuperAnnotate JSON', '{instances[', '{metadata{'),
+    _json('Grounding DINO (ODVG) JSON', '{detection{instances['),
+    _json('COCO panoptic JSON', '{annotations[{segments_info[', advice='export its instances'),
+    UnreadFormat('JSON of semantic segmentation', ('.json',), _is_semantic, INSTANCES),
+    UnreadFormat('a pickle of Python', ('.pkl', '.pickle', '.pth', '.pt'), _any, PICKLE_ADVICE),
     _json('VoTT JSON', '{asset{', '{regions['),
     _xml('LabelMe XML', r'<(imagesize|sourceAnnotation|pt)>'),
     _xml('KML', r'<kml[ >]', 'convert to GeoJSON'),
@@ -197,6 +221,10 @@ UNREAD = (
     UnreadFormat(
         'labelImg_OBB text', ('.txt',), lambda head: head.lstrip().startswith('YOLO_OBB'), OWN_CODE
     ),
+    UnreadFormat(
+        'PaddleOCR text', ('.txt',), partial(_matches, PADDLE_OCR), 'export as DOTA or COCO'
+    ),
+    _text('MOTS text', _is_mots, 'export its masks as COCO'),
     _text('MOT ground truth', _is_mot, 'it has upright boxes and tracks: write them as CSV'),
     _text('KITTI text', _is_kitti, 'it has upright boxes: write them as YOLO'),
     _text('YOLO-OBB in pixels', _is_yolo_in_pixels, 'divide the corners by the size of the image'),

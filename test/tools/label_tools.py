@@ -34,6 +34,7 @@ from typing import Any
 TOOLS = (
     'datumaro', 'supervision', 'pycocotools', 'labelme<7', 'label-studio-sdk', 'ultralytics',
     'geopandas', 'pyarrow', 'globox', 'pylabel', 'sahi',
+    'x-anylabeling-cvhub',
 )  # fmt: skip
 HERE = Path(__file__).resolve().parent
 SIZE = (640, 480)

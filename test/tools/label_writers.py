@@ -25,6 +25,7 @@ import numpy as np
 
 os.environ.setdefault('YOLO_CONFIG_DIR', '/tmp')
 os.environ.setdefault('YOLO_OFFLINE', 'true')
+os.environ.setdefault('QT_QPA_PLATFORM', 'offscreen')
 
 
 class Ship(NamedTuple):
@@ -541,6 +542,95 @@ def _placed(ship: Ship, place: str) -> list[list[float]]:
 for _form in ('geojson', 'shp', 'gpkg', 'fgb', 'csv', 'parquet'):
     for _place in ('pixels', 'metres', 'degrees'):
         _add_geopandas(_form, _place)
+
+
+# X-AnyLabeling --------------------------------------------------------------------------------
+
+
+def _xanylabeling(fleet: Fleet, folder: Path, kind: str) -> Path:
+    """Write the labels of each image as its own JSON; returns their folder."""
+    from anylabeling.views.labeling.shape import Shape
+    from PyQt6.QtCore import QPointF
+
+    width, height = fleet.size
+    for image, ships in fleet.ships.items():
+        drawn = []
+        for ship in ships:
+            shape = Shape(label=ship.name, shape_type=kind, direction=ship.theta)
+            x1, y1, x2, y2 = ship.bounds
+            upright = [[x1, y1], [x2, y1], [x2, y2], [x1, y2]]
+            for point in upright if kind == 'rectangle' else ship.corners:
+                shape.add_point(QPointF(*point))
+            drawn.append(shape.to_dict())
+        document = {
+            'version': '4.2.1', 'flags': {}, 'shapes': drawn, 'imagePath': f'{image}.png',
+            'imageData': None, 'imageHeight': height, 'imageWidth': width,
+        }  # fmt: skip
+        (folder / f'{image}.json').write_text(json.dumps(document))
+    return folder
+
+
+def _add_xanylabeling(kind: str, carries: str) -> None:
+    @sample('x-anylabeling-cvhub', kind, carries)
+    def write(fleet: Fleet, folder: Path) -> Path:
+        return _xanylabeling(fleet, folder, kind)
+
+
+for _kind, _carries in (
+    ('rotation', 'rotation'),
+    ('quadrilateral', 'polygon'),
+    ('polygon', 'polygon'),
+    ('rectangle', 'box'),
+):
+    _add_xanylabeling(_kind, _carries)
+
+
+def _add_xanylabeling_export(form: str, kind: str, carries: str) -> None:
+    @sample('x-anylabeling-cvhub', form, carries)
+    def write(fleet: Fleet, folder: Path) -> Path:
+        from anylabeling.views.labeling.label_converter import LabelConverter
+
+        source, names = folder.with_suffix('.source'), folder / 'classes.txt'
+        source.mkdir()
+        _xanylabeling(fleet, source, kind)
+        names.write_text('\n'.join(fleet.names))
+        converter = LabelConverter(classes_file=str(names))
+        method, _, mode = form.partition(', ')
+        export = getattr(converter, f'custom_to_{method}')
+        pictures = [str(fleet.pictures / f'{image}.png') for image in fleet.ships]
+        if method in ('coco', 'odvg'):
+            export(pictures, str(source), str(folder), *filter(None, [mode]))
+            return folder
+        if method in ('mot', 'mots'):
+            export(str(source), str(folder))
+            return folder / ('gt.txt' if method == 'mot' else 'custom_gt.txt')
+        (folder / 'crop_img').mkdir()
+        for image, picture in zip(fleet.ships, pictures, strict=True):
+            labels = str(source / f'{image}.json')
+            if method == 'ppocr':
+                export(picture, labels, str(folder), mode)
+            elif method == 'voc':
+                export(picture, labels, str(folder / f'{image}.xml'), mode)
+            else:
+                target = str(folder / f'{image}.txt')
+                export(labels, target, *filter(None, [mode]))
+        return folder / 'Label.txt' if method == 'ppocr' else folder
+
+
+for _form, _kind, _carries in (
+    ('dota', 'rotation', 'rotation'),
+    ('yolo, obb', 'rotation', 'rotation'),
+    ('yolo, seg', 'polygon', 'polygon'),
+    ('yolo, hbb', 'rectangle', 'box'),
+    ('voc, polygon', 'polygon', 'polygon'),
+    ('voc, rectangle', 'rectangle', 'box'),
+    ('coco, polygon', 'polygon', 'polygon'),
+    ('mot', 'rectangle', 'box'),
+    ('mots', 'polygon', 'mask'),
+    ('odvg', 'rectangle', 'box'),
+    ('ppocr, rec', 'rotation', 'polygon'),
+):
+    _add_xanylabeling_export(_form, _kind, _carries)
 
 
 # globox, pylabel, sahi ------------------------------------------------------------------------

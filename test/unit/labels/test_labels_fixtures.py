@@ -25,8 +25,9 @@ EXPECTED = OrientedBoxes.from_xywhr([ship[1:] for ship in SHIPS])
 # Tools round, and masks consist of whole pixels.
 TOLERANCE, MASK_TOLERANCE = 0.02, 3.0
 TOLERANCES = {
-    # Whole numbers from 1.
+    # Whole numbers, the first one from 1.
     'supervision: VOC, box': 1.5,
+    'x-anylabeling-cvhub: voc, rectangle': 1.0,
     # Six decimals, 0.1 m.
     'geopandas: csv, degrees': 0.2,
 }
@@ -44,6 +45,10 @@ REFUSED = {
     'ultralytics: to_csv, rotated': 'CSV of Ultralytics results, which is not read',
     'globox: via_json': 'VGG Image Annotator JSON, which is not read',
     'globox: openimage': 'Open Images CSV, which is not read',
+    'x-anylabeling-cvhub: mot': 'MOT ground truth, which is not read',
+    'x-anylabeling-cvhub: mots': 'MOTS text, which is not read',
+    'x-anylabeling-cvhub: odvg': 'Grounding DINO (ODVG) JSON, which is not read',
+    'x-anylabeling-cvhub: ppocr, rec': 'PaddleOCR text, which is not read',
 }  # fmt: skip
 
 

@@ -47,6 +47,20 @@ def test_four_corners_are_an_oriented_box(put: Put, kind: str) -> None:
     assert labels.hulls == (None,)
 
 
+def test_what_x_anylabeling_says_of_a_shape_is_kept(put: Put) -> None:
+    shape = _shape(
+        'rotation', CORNERS, difficult=True, direction=2.3, attributes={'flag': 'NL'},
+        description='moored', kie_linking=[], score=None,
+    )  # fmt: skip
+    path = put('a.json', _document(shape, _shape('polygon', CORNERS), checked=True, image_tags=[]))
+    (labels,) = read_labels(path)
+    assert labels.difficulties == [1, 0]
+    assert labels.extras.properties == {
+        'attributes': ({'flag': 'NL'}, None), 'description': ('moored', None),
+    }  # fmt: skip
+    assert labels.extras.label_set.others == ('checked',)
+
+
 @pytest.mark.parametrize('points', [[[10, 50], [90, 20]], [[90, 20], [10, 50]], UPRIGHT])
 def test_a_rectangle_is_upright_and_the_reference_box(put: Put, points: object) -> None:
     (labels,) = read_labels(put('a.json', _document(_shape('rectangle', points))))

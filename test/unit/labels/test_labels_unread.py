@@ -45,6 +45,18 @@ UCAS = '\t'.join(map(str, [*POLY, 30.0, 300, 280, 200, 40]))
             'SODA-A',
         ),
         (
+            'sem_seg_predictions.json',
+            [{'file_name': 'a.png', 'category_id': 1, 'segmentation': RLE}],
+            'JSON of semantic segmentation',
+        ),
+        (
+            'predictions.json',
+            {'images': [{'id': 1}], 'annotations': [{'image_id': 1, 'segments_info': [{'id': 3}]}]},
+            'COCO panoptic JSON',
+        ),
+        ('instances_predictions.pth', 'PK', 'a pickle of Python'),
+        ('results.pkl', '\x80', 'a pickle of Python'),
+        (
             'c.json',
             [{'image': 'a.jpg', 'annotations': [{'label': 'x', 'coordinates': {'x': 4}}]}],
             'CreateML',
