@@ -35,7 +35,14 @@ FACTS = {
     'camera': None,
 }
 
-
+CAMERA = {
+    'size': [4096, 3072],
+    'k': [4000.123456789, 0.0, 2048.0, 0.0, 4000.0, 1536.0, 0.0, 0.0, 1.0],
+    'model': 'plumb_bob',
+    'd': [-0.1, 0.01, 0.001, -0.001, 0.0],
+    'roi': [0, 0, 4096, 3072],
+    'binning': [1, 1],
+}
 RELEASE = ReleaseSettings()
 
 
@@ -104,7 +111,17 @@ def feeder(
 
 
 def in_outbox(folder: Path) -> dict[str, dict[str, Any]]:
-    """Read the JSON files of an outbox, by id; AssertionError if anything is amiss there."""
+    """Read the JSON files of chips in an outbox, by id; AssertionError if anything is amiss."""
+    return _pairs_in_outbox(folder, None, '.jpg')
+
+
+def cameras_in_outbox(folder: Path) -> dict[str, dict[str, Any]]:
+    """Read the JSON files of cameras in an outbox, likewise."""
+    return _pairs_in_outbox(folder, 'camera', '.camera')
+
+
+def _pairs_in_outbox(folder: Path, kind: str | None, suffix: str) -> dict[str, dict[str, Any]]:
+    """Read the JSON files of a kind, by id."""
     visible = {path for path in folder.glob('*/*') if not path.name.startswith('.')}
     descriptions = {}
     for path in sorted(visible):
@@ -112,13 +129,16 @@ def in_outbox(folder: Path) -> dict[str, dict[str, Any]]:
             assert is_sealed(path.read_bytes())
             described = json.loads(path.read_text(encoding='utf-8'))
             del described['digest']
-            data = path.with_suffix('.jpg').read_bytes()
+            if described.get('kind') != kind:
+                continue
+            data = path.with_suffix(suffix).read_bytes()
             assert path.stem == described['id']
             assert described['id'] not in descriptions, 'it is there twice'
             assert described['bytes'] == len(data)
             assert described['sha256'] == sha256(data).hexdigest()
             descriptions[path.stem] = described
-    assert len(visible) == 2 * len(descriptions), 'a chip without JSON'
+    names = {path.stem for path in visible if path.suffix == suffix}
+    assert names == set(descriptions), 'a file without JSON'
     return descriptions
 
 

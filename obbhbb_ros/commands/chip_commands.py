@@ -155,4 +155,6 @@ def run_gallery(options: Namespace) -> None:
     print(f'chips: {len(received.chips)}, problems: {len(received.problems)}')
     if received.ship_count:
         print(f'ships: {received.ship_count}')
+    if received.cameras:
+        print(f'cameras: {len(received.cameras)}')
     print(f'written: {options.output}')

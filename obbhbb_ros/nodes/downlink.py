@@ -149,6 +149,7 @@ class Downlink(ManagedNode[DownlinkSettings]):
             'contact': plain_yaml(feeder.is_contact),
             'stalled_by': stalled_by,
             'budget_available': f'{feeder.available:.0f}',
+            'cameras_released': str(feeder.cameras),
         }
         try:
             facts.update(self._spool_report.facts())

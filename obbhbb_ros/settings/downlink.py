@@ -54,6 +54,7 @@ def _downlink_settings(values: Mapping[str, Any]) -> DownlinkSettings:
             levels=tuple(levels),
             removal=values['acknowledge'] == 'removal',
             max_bytes=values['outbox.max_bytes'],
+            is_compact=values['outbox.json'] == 'compact',
         ),
     )
 
@@ -97,6 +98,13 @@ DOWNLINK = ParameterTable(
             1e9,
             'Maximum bytes in the outbox; while it is full, chips wait in the spool. 0: unlimited.',
             Range(0.0, MAX_BYTES),
+        ),
+        Parameter(
+            'outbox.json',
+            'full',
+            'JSON of the chips: `full`, or `compact`: no spaces, short numbers, and cameras in '
+            'files of their own.',
+            Choices(('full', 'compact')),
         ),
     ),
     _downlink_settings,

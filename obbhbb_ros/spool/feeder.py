@@ -18,6 +18,7 @@ from dataclasses import field
 from enum import Enum
 from math import inf
 from pathlib import Path
+from typing import Any
 from typing import NamedTuple
 
 from obbhbb_ros.downlink.budget import LinkSettings
@@ -27,6 +28,12 @@ from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.chip_rows import describe_intact
+from obbhbb_ros.spool.compact_json import CAMERA_KIND
+from obbhbb_ros.spool.compact_json import CameraFile
+from obbhbb_ros.spool.compact_json import compact_bytes
+from obbhbb_ros.spool.compact_json import names_camera
+from obbhbb_ros.spool.compact_json import shortened
+from obbhbb_ros.spool.compact_json import without_camera
 from obbhbb_ros.spool.outbox import Contents
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.outbox import json_bytes
@@ -41,6 +48,8 @@ _BATCH = 16
 _IDLE, _RETRY, _LOOK = 0.1, 1.0, 1.0
 # Looks into the outbox may take this share of the time.
 _LOOK_SHARE = 0.05
+# Cameras to remember: one that zooms is another in every image.
+_MAX_CAMERAS = 1000
 # Seconds that a thread has for its last step; a disk that does not answer keeps it longer.
 _LAST_STEP = 2.0
 
@@ -61,12 +70,15 @@ class ReleaseSettings:
         when it is in the outbox.
     max_bytes : float
         Maximum bytes in the outbox (0: unlimited).
+    is_compact : bool
+        Whether the JSON of chips is short, and their cameras have files of their own.
     """
 
     budget: LinkSettings = field(default_factory=LinkSettings)
     levels: tuple[float, ...] = ()
     removal: bool = False
     max_bytes: float = 0.0
+    is_compact: bool = False
 
 
 class Phase(Enum):
@@ -110,6 +122,8 @@ class OutboxFeeder:
         Bytes that the link could carry at the last step. Read only.
     signs : int
         Grows with each step and each chip: no disk keeps it waiting. Read only.
+    cameras : int
+        How many files of cameras were put into the outbox. Read only.
     """
 
     def __init__(
@@ -120,7 +134,7 @@ class OutboxFeeder:
         on_trouble: Callable[[str], object],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.stalled_by, self.available, self.signs = '', 0.0, 0
+        self.stalled_by, self.available, self.signs, self.cameras = '', 0.0, 0, 0
         self._spool, self._outbox = spool, outbox
         self._on_trouble, self._clock = on_trouble, clock
         # One attribute, so that another thread sets both at once.
@@ -130,6 +144,8 @@ class OutboxFeeder:
         self._batch = ReleaseBatch(set(), set())
         # Claimed chips that may have been in the outbox: the bus may have taken them.
         self._unsure: set[str] = set()
+        # Cameras that are in the outbox, or were.
+        self._known_cameras: set[str] = set()
         # Level and cost of the chips that are not complete in the outbox yet.
         self._added: dict[str, tuple[int, int]] = {}
         self._contents = Contents()
@@ -195,7 +211,10 @@ class OutboxFeeder:
         missing = claimed - put
         self._batch = ReleaseBatch(put, missing & self._batch.left)
         self._unsure = missing - self._batch.left
-        self._outbox.remove_unfinished(missing)
+        # A camera is put there again with the next chip that names it.
+        self._known_cameras.clear()
+        cameras = set(filter(names_camera, contents.ids - contents.complete))
+        self._outbox.remove_unfinished(missing | cameras)
 
     def _check_outbox(self) -> None:
         """Refuse an outbox that is not the one that chips have gone into; it may be unmounted."""
@@ -255,6 +274,9 @@ class OutboxFeeder:
         settings = self._refresh()
         if not self.is_contact:
             self.stalled_by = 'no contact'
+            if not settings.removal:
+                # Nothing tells whether the ground has them: they come down once in each contact.
+                self._known_cameras.clear()
             return _IDLE
         overhead = settings.budget.overhead
         # The overhead is the link's: it takes no room in the outbox.
@@ -287,23 +309,62 @@ class OutboxFeeder:
             self._unsure.discard(chip.id)
             self._on_trouble(f'{chip.id} is damaged in the spool and was evicted')
             return True
-        size = len(data) + len(json_bytes(description))
-        cost = size + settings.budget.overhead
-        if not self.is_contact or cost > self.available or size > self._room_in_outbox(settings):
+        described, camera = _written(description, settings.is_compact)
+        if camera is not None and not self._put_camera(camera, settings):
             return False
-        level = level_of(chip.value, settings.levels)
         suffix = CODECS[description['codec']].suffix
+        level = level_of(chip.value, settings.levels)
+        if not self._add(chip.id, suffix, data, described, level, settings):
+            return False
+        self._batch.left.discard(chip.id)
+        return True
+
+    def _put_camera(self, camera: CameraFile, settings: ReleaseSettings) -> bool:
+        """
+        Complete the file of a camera in the outbox, if need be; False if that is not allowed.
+
+        It is smaller than the full description of a chip, so what lets a chip pass lets it pass.
+        """
+        if camera.id in self._known_cameras:
+            return True
+        if not self._outbox.holds(camera.id, 0):
+            described = camera.json_bytes()
+            if not self._add(camera.id, CAMERA_KIND, camera.content, described, 0, settings):
+                return False
+            # On disk before any JSON that names it.
+            self._finish()
+            self._batch.put.discard(camera.id)
+            self.cameras += 1
+        if len(self._known_cameras) >= _MAX_CAMERAS:
+            self._known_cameras.clear()
+        self._known_cameras.add(camera.id)
+        return True
+
+    def _add(
+        self,
+        file_id: str,
+        suffix: str,
+        data: bytes,
+        described: bytes,
+        level: int,
+        settings: ReleaseSettings,
+    ) -> bool:
+        """Add a pair of files to the outbox; False if that is not allowed any more."""
+        size = len(data) + len(described)
+        cost = size + settings.budget.overhead
+        available = self._bucket.available(self._clock())
+        if not self.is_contact or cost > available or size > self._room_in_outbox(settings):
+            return False
         self._bucket.spend(cost, self._clock())
         try:
-            self._outbox.add(chip.id, suffix, data, description, level)
+            self._outbox.add(file_id, suffix, data, described, level)
         except OSError:
             # The bus has it if it was put there before.
-            if not self._outbox.holds(chip.id, level):
+            if not self._outbox.holds(file_id, level):
                 self._bucket.give_back(cost)
             raise
-        self._batch.left.discard(chip.id)
         self._contents.bytes += size
-        self._added[chip.id] = level, cost
+        self._added[file_id] = level, cost
         return True
 
     def _finish(self) -> None:
@@ -356,6 +417,14 @@ class OutboxFeeder:
     def _room_in_outbox(self, settings: ReleaseSettings) -> float:
         """Return how many more bytes the outbox takes."""
         return settings.max_bytes - self._contents.bytes if settings.max_bytes else inf
+
+
+def _written(description: dict[str, Any], is_compact: bool) -> tuple[bytes, CameraFile | None]:
+    """Write the JSON of a chip; also return the camera that it names instead of holding it."""
+    if not is_compact:
+        return json_bytes(description), None
+    short, camera = without_camera(shortened(description))
+    return compact_bytes(short), camera
 
 
 class FeederThread:

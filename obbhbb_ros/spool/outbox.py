@@ -93,14 +93,12 @@ class Outbox:
         OSError
             If it cannot be written.
         """
-        self.add(chip_id, suffix, data, description, level)
+        self.add(chip_id, suffix, data, json_bytes(description), level)
         self.finish()
 
-    def add(
-        self, chip_id: str, suffix: str, data: bytes, description: dict[str, Any], level: int
-    ) -> None:
+    def add(self, chip_id: str, suffix: str, data: bytes, description: bytes, level: int) -> None:
         """
-        Write a chip and its JSON, which gets its name in `finish`; until then nobody takes it.
+        Write a chip and its JSON, as bytes; until `finish` gives that its name, nobody takes it.
 
         Raises
         ------
@@ -115,7 +113,7 @@ class Outbox:
         chip, described = folder / f'{chip_id}.{suffix}', folder / f'{chip_id}{JSON_SUFFIX}'
         partials = [_hidden_name(chip), _hidden_name(described)]
         try:
-            for partial, content in zip(partials, (data, json_bytes(description)), strict=True):
+            for partial, content in zip(partials, (data, description), strict=True):
                 _write(partial, content)
             _name(partials[0], chip)
         except OSError:

@@ -6,8 +6,11 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections import Counter
 from collections.abc import Callable
 from collections.abc import Iterator
+from collections.abc import Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from dataclasses import field
 from hashlib import sha256
@@ -16,6 +19,9 @@ from typing import Any
 
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.files import read_bounded
+from obbhbb_ros.spool.compact_json import CAMERA_KIND
+from obbhbb_ros.spool.compact_json import camera_id
+from obbhbb_ros.spool.compact_json import with_camera
 from obbhbb_ros.spool.seals import is_sealed
 from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track
@@ -81,11 +87,14 @@ class Received:
     ----------
     chips : list of ReceivedChip
         The chips that have a usable JSON, the most valuable first, then the oldest.
+    cameras : dict of str to dict
+        Content of the files of cameras, by their ids.
     problems : list of str
         What is wrong, a line each; starts with the name of the file.
     """
 
     chips: list[ReceivedChip] = field(default_factory=list)
+    cameras: dict[str, dict[str, Any]] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
 
     @property
@@ -117,26 +126,41 @@ def read_received(folder: Path) -> Received:
         raise NotADirectoryError(f'{folder}: no such folder')
     received = Received()
     files = sorted(_files(folder, received.problems))
+    # Before the chips, which name them.
+    for path in files:
+        if path.suffix == f'.{CAMERA_KIND}':
+            with _noted(path, folder, received.problems):
+                received.cameras[path.stem] = _camera(path)
     named = set()
+    missing: Counter[str] = Counter()
     for path in track([path for path in files if path.suffix == '.json'], 'reading'):
-        shown = printable(str(path.relative_to(folder)))
-        try:
-            chip = _checked(path)
-        except (OSError, ValueError, RecursionError, MemoryError) as error:
-            problem = printable(str(error)) or 'not enough memory'
-            received.problems.append(f'{shown}: {problem}')
-            continue
-        named.add(chip.path)
-        received.chips.append(chip)
-        if chip.damage:
-            name = printable(str(chip.path.relative_to(folder)))
-            received.problems.append(f'{name}: {chip.damage}')
+        with _noted(path, folder, received.problems):
+            chip = _checked(path, received.cameras, missing)
+            if chip is None:
+                continue
+            named.add(chip.path)
+            received.chips.append(chip)
+            if chip.damage:
+                name = printable(str(chip.path.relative_to(folder)))
+                received.problems.append(f'{name}: {chip.damage}')
     received.chips.sort(key=lambda chip: (-chip.facts['value'], chip.time, chip.facts['id']))
+    for camera, count in sorted(missing.items()):
+        received.problems.append(f'{printable(camera)}: missing; chips of this camera: {count}')
     orphans = [path for path in files if path.suffix in _SUFFIXES and path not in named]
     if orphans:
         first = printable(str(orphans[0].relative_to(folder)))
         received.problems.append(f'{first}: no usable JSON; {len(orphans)} such files in all')
     return received
+
+
+@contextmanager
+def _noted(path: Path, folder: Path, problems: list[str]) -> Iterator[None]:
+    """Note what makes a file unusable in a `with` block."""
+    try:
+        yield
+    except (OSError, ValueError, RecursionError, MemoryError) as error:
+        problem = printable(str(error)) or 'not enough memory'
+        problems.append(f'{printable(str(path.relative_to(folder)))}: {problem}')
 
 
 def _files(folder: Path, problems: list[str]) -> Iterator[Path]:
@@ -160,13 +184,39 @@ def _files(folder: Path, problems: list[str]) -> Iterator[Path]:
                 yield path
 
 
-def _checked(path: Path) -> ReceivedChip:
-    """Read a JSON and check its chip file; ValueError if the JSON cannot be used."""
+def _camera(path: Path) -> dict[str, Any]:
+    """Read the file of a camera; ValueError if it cannot be used."""
     content = read_bounded(path, _MAX_JSON_BYTES)
+    if path.stem != camera_id(content):
+        raise ValueError('damaged: its name is not that of its content')
+    return _object(content)
+
+
+def _object(content: bytes) -> dict[str, Any]:
+    """Read a JSON object; ValueError if it is none."""
     facts = json.loads(content.decode())
     if not isinstance(facts, dict):
         raise ValueError('not a JSON object')
-    facts = _OPTIONAL | facts
+    return facts
+
+
+def _checked(
+    path: Path, cameras: Mapping[str, Mapping[str, Any]], missing: Counter[str]
+) -> ReceivedChip | None:
+    """
+    Read a JSON and check its chip file; ValueError if the JSON cannot be used.
+
+    Returns None if it is that of a camera. If the camera of the chip is not there, the chip has
+    none, and `missing` counts it.
+    """
+    content = read_bounded(path, _MAX_JSON_BYTES)
+    facts = _OPTIONAL | _object(content)
+    if facts['kind'] == CAMERA_KIND:
+        return None
+    if isinstance(facts.get('camera'), dict) and isinstance(name := facts['camera'].get('id'), str):
+        if name not in cameras:
+            missing[name] += 1
+        facts['camera'] = with_camera(facts['camera'], cameras[name]) if name in cameras else None
     for key, (meaning, is_right) in _KEYS.items():
         if key not in facts:
             raise ValueError(f"key '{key}' is missing")
@@ -277,8 +327,10 @@ _KEYS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     'sha256': ('a text', _is_text),
     'camera': ('an object with size, k, model, d, roi and binning, or null', _or_null(_is_camera)),
     'object': ('a text or null', _or_null(_is_text)),
+    # Files of kinds to come are none of a chip.
+    'kind': ('known', lambda value: value is None),
     'view': ('a whole number or null', _or_null(_is_whole)),
     'rank': ('a number or null', _or_null(_is_number)),
 }
-# Not in the JSON of chips that show no known ship.
-_OPTIONAL: dict[str, Any] = dict.fromkeys(('object', 'view', 'rank'))
+# Not in the JSON of chips that show no known ship; chips have no kind.
+_OPTIONAL: dict[str, Any] = dict.fromkeys(('object', 'view', 'rank', 'kind'))

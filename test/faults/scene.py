@@ -14,7 +14,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from spooled import CAMERA
 from spooled import Clock
+from spooled import cameras_in_outbox
 from spooled import database
 from spooled import feeder
 from spooled import in_outbox
@@ -43,21 +45,30 @@ class Scene:
         self.troubles: list[str] = []
         self.clock = Clock()
         self.writer = SpoolWriter(self.on_board / 'spool', self.troubles.append)
-        self._settings = ReleaseSettings(removal=removal)
+        self._settings = ReleaseSettings(removal=removal, is_compact=True)
         self.feeder = feeder(self.on_board, self.troubles.append, self.clock, self._settings)
 
     def play(self) -> None:
         """Plan, store, release, take: frames of 5 and 3 chips, one of which is refused."""
         frame = self.writer.plan(5)
         self.writer.store(
-            frame, [new_chip(0.1 * i, 3000, (5, i)) for i in range(4)], {'encoder_failed': 1}
+            frame,
+            [new_chip(0.1 * i, 3000, (5, i), camera=CAMERA) for i in range(4)],
+            {'encoder_failed': 1},
         )
         self.steps(2)
         frame = self.writer.plan(3)
         self.bus()
         # A full one: the least valuable goes.
         self.writer.store(
-            frame, [new_chip(0.9, 3000), new_chip(0.8, 3000), new_chip(0.0, 40_000)], {}, 100_000.0
+            frame,
+            [
+                new_chip(0.9, 3000, camera=CAMERA),
+                new_chip(0.8, 3000, camera=CAMERA | {'model': 'equidistant'}),
+                new_chip(0.0, 40_000),
+            ],
+            {},
+            100_000.0,
         )
         self.steps(2)
 
@@ -71,7 +82,7 @@ class Scene:
         """Take what is complete."""
         for path in sorted((self.on_board / 'outbox').glob('*/[!.]*.json')):
             described = json.loads(path.read_text(encoding='utf-8'))
-            chip = path.with_suffix('.jpg')
+            chip = path.with_suffix('.camera' if 'kind' in described else '.jpg')
             assert described['sha256'] == sha256(chip.read_bytes()).hexdigest(), path
             for each in (chip, path):
                 number = next(i for i in count() if not (self.ground / f'{i}_{each.name}').exists())
@@ -99,6 +110,7 @@ class Scene:
         assert status.balance == 0, status
         assert status.in_work == 0, status
         in_outbox(self.on_board / 'outbox')
+        cameras_in_outbox(self.on_board / 'outbox')
         self.feeder.steer(self._settings, is_contact=True)
         self.steps(2)
         self.bus()
@@ -106,12 +118,26 @@ class Scene:
         status = self.writer.status()
         assert status.balance == 0, status
         assert status.waiting == status.in_outbox == 0, status
-        down = Counter(path.name.partition('_')[2] for path in self.ground.glob('*.json'))
+        down = self._down()
         assert {Path(each).stem for each, n in down.items() if n > 1} <= may_come_twice, down
         assert len(down) == status.counts.get('delivered', 0), status
         assert len(down) == status.counts.get('released', 0), status
         assert status.set_aside == 0
         return status
+
+    def _down(self) -> Counter[str]:
+        """Count how often each chip came down; AssertionError if one came without its camera."""
+        down: Counter[str] = Counter()
+        named, cameras = set(), set()
+        for path in self.ground.glob('*.json'):
+            described = json.loads(path.read_text(encoding='utf-8'))
+            if 'kind' in described:
+                cameras.add(described['id'])
+            else:
+                down[path.name.partition('_')[2]] += 1
+                named.add((described['camera'] or {}).get('id'))
+        assert named - {None} <= cameras, named - cameras
+        return down
 
     def close(self) -> None:
         """Close both."""

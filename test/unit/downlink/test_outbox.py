@@ -81,7 +81,7 @@ def test_a_batch_flushes_its_folders_twice(tmp_path, monkeypatch) -> None:
 
     monkeypatch.setattr(os, 'fsync', noted_fsync)
     for i in range(8):
-        outbox.add(f'chip{i}', 'jpg', b'data', {'id': i}, i % 2)
+        outbox.add(f'chip{i}', 'jpg', b'data', json_bytes({'id': i}), i % 2)
     assert folders == []
     assert outbox.contents().complete == {'a'}
     outbox.finish()

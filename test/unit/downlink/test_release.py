@@ -2,6 +2,7 @@
 """From the spool to the outbox: in order, within the budget, each chip once."""
 
 import errno
+import json
 import os
 import shutil
 import threading
@@ -127,7 +128,7 @@ def noted_puts(monkeypatch):
     real = Outbox.add
 
     def put(self, chip_id, suffix, data, description, level):
-        order.append(description['value'])
+        order.append(json.loads(description)['value'])
         real(self, chip_id, suffix, data, description, level)
 
     monkeypatch.setattr(Outbox, 'add', put)

@@ -19,9 +19,14 @@ from PIL import Image
 from spooled import store
 
 from obbhbb_ros.cli import main
+from obbhbb_ros.spool.compact_json import camera_id
+from obbhbb_ros.spool.compact_json import compact_bytes
+from obbhbb_ros.spool.compact_json import without_camera
 from obbhbb_ros.spool.console import ANY_CHIP
 from obbhbb_ros.spool.console import SpoolConsole
+from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.writer import SpoolWriter
+from obbhbb_ros.study.received import read_received
 from obbhbb_ros.study.spools import export
 
 pytest.importorskip('jinja2')
@@ -337,6 +342,70 @@ def test_a_wrong_type_is_a_problem_that_names_file_and_key(tmp_path, capsys, key
     for said in (page.text, capsys.readouterr().err):
         assert re.search(rf"0/bad\.json: key '{key}' is not \w", said)
         assert '0/bad.jpg: no usable JSON; 1 such files in all' in said
+
+
+def put_compact(folder: Path, **facts) -> Path:
+    """Put a chip with compact JSON and the file of its camera into a folder; return the JSON."""
+    described, chip = a_chip(**facts)
+    short, camera = without_camera(described)
+    outbox = Outbox(folder)
+    (folder / '0').mkdir(parents=True, exist_ok=True)
+    outbox.add(described['id'], 'jpg', chip, compact_bytes(short), 0)
+    outbox.add(camera.id, 'camera', camera.content, camera.json_bytes(), 0)
+    outbox.finish()
+    return folder / '0' / f'{described["id"]}.json'
+
+
+def test_cameras_in_files_of_their_own_are_read_and_counted_apart(tmp_path, capsys) -> None:
+    box = tmp_path / 'box'
+    put_compact(box, id='a', camera=CAMERA)
+    put_compact(box / 'next pass', id='b', camera=CAMERA | {'roi': [2, 2, 4, 4]})
+    put(box, *a_chip(id='full', camera=CAMERA))
+    assert len(gallery(box).all('img')) == 3
+    assert 'chips: 3, problems: 0\ncameras: 1\n' in capsys.readouterr().out
+    read = {chip.facts['id']: chip.facts['camera'] for chip in read_received(box).chips}
+    assert read == {'a': CAMERA, 'b': CAMERA | {'roi': [2, 2, 4, 4]}, 'full': CAMERA}
+
+
+def test_a_camera_that_did_not_come_or_is_damaged_is_a_problem(tmp_path, capsys) -> None:
+    box = tmp_path / 'box'
+    for name in 'ab':
+        record = put_compact(box, id=name, camera=CAMERA)
+    (camera,) = record.parent.glob('*.camera')
+    content = camera.read_bytes()
+    camera.write_bytes(content.replace(b'plumb', b'plomb'))
+    assert len(gallery(box).all('img')) == 2
+    problems = capsys.readouterr().err
+    assert f'0/{camera.name}: damaged: its name is not that of its content' in problems
+    assert f'obbhbb: {camera.stem}: missing; chips of this camera: 2' in problems
+    camera.unlink()
+    gallery(box)
+    assert f'obbhbb: {camera.stem}: missing; chips of this camera: 2' in capsys.readouterr().err
+    # That its JSON is missing does not matter: its name tells that it is whole.
+    camera.write_bytes(content)
+    camera.with_suffix('.json').unlink()
+    gallery(box)
+    assert 'chips: 2, problems: 0' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    'content', [b'', b'{', b'[]', b'{"size":[8,8]}', b'{"size":8,"k":null,"model":"","d":[]}']
+)
+def test_the_content_of_a_camera_is_checked_with_the_chips(tmp_path, capsys, content) -> None:
+    box = tmp_path / 'box'
+    name = camera_id(content)
+    put(box, *a_chip(camera={'id': name, 'roi': [0, 0, 8, 8], 'binning': [1, 1]}))
+    (box / '0' / f'{name}.camera').write_bytes(content)
+    gallery(box)
+    problems = capsys.readouterr().err
+    assert name in problems or "key 'camera' is not" in problems
+
+
+def test_a_file_of_an_unknown_kind_is_a_problem(tmp_path, capsys) -> None:
+    put(tmp_path / 'box', *a_chip(id='good'))
+    put(tmp_path / 'box', *a_chip(id='new', kind='whales'))
+    assert len(gallery(tmp_path / 'box').all('img')) == 1
+    assert "new.json: key 'kind' is not known" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
