@@ -3,6 +3,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from fleets import REAL
 from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 from obbhbb_ros.labels import read_labels
+from obbhbb_ros.labels.label_file import Box
+from obbhbb_ros.labels.label_file import LabelFile
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.ships import read_ships
 
@@ -37,6 +40,21 @@ def test_a_scene_is_drawn_with_and_without_hulls(tmp_path) -> None:
         }
         figures.save(figures.scene_figure(labels, boxes), tmp_path / 'scene.png')
         assert (tmp_path / 'scene.png').read_bytes().startswith(b'\x89PNG')
+
+
+@pytest.mark.parametrize('channels', [1, 3])
+def test_a_large_ship_is_drawn_from_few_pixels_in_its_place(channels: int) -> None:
+    box = Box((100.0, 100.0, 2900.0, 100.0, 2900.0, 900.0, 100.0, 900.0), 'ship')
+    labels = LabelFile(Path('a')).image('a', [box])
+    pixels = np.zeros((1001, 3001, channels), np.uint8)
+    pixels[:, 1500:] = 200
+    boxes = {'outer': np.array([[100.0, 100.0, 2900.0, 900.0]])}
+    (axes,) = figures.ship_figure(labels, pixels, boxes, 0).axes
+    (picture,) = axes.images
+    shown, (left, right, _, _) = np.asarray(picture.get_array()), picture.get_extent()
+    assert max(shown.shape) <= 1600
+    first = int(np.flatnonzero(shown.reshape(*shown.shape[:2], -1)[0, :, 0] > 100)[0])
+    assert left + first * (right - left) / shown.shape[1] == pytest.approx(1500.0, abs=4.0)
 
 
 def test_what_computes_does_not_draw() -> None:
