@@ -267,6 +267,28 @@ class Detections:
         writer.add_text(self._id(id_at))
         return writer.message()
 
+    def with_ids(self, ids: Sequence[str], xywhr: FloatArray | None = None) -> bytes:
+        """
+        Return the message with other ids; everything else is as it was.
+
+        Parameters
+        ----------
+        ids : sequence of str
+            N ids.
+        xywhr : ndarray, shape (N, 5), optional
+            Oriented boxes to be written as well, as `xywhr` reads them.
+
+        Returns
+        -------
+        bytes
+            The serialized message, little-endian.
+        """
+        if xywhr is not None:
+            self._numbers[self._boxes_at] = xywhr.T
+        writer = self._writer(len(self))
+        writer.copy_with_ids(self._spans, [text.encode(errors='replace') for text in ids])
+        return writer.message()
+
     def _write_boxes(self, rows: Any, xywh: FloatArray) -> None:
         """Write axis-aligned boxes, (M, 4), over those of some detections."""
         boxes_at = self._boxes_at[:, rows]
@@ -390,6 +412,29 @@ class _DetectionWriter:
             self._source[i:j]
             for i, j in zip(starts[pieces].tolist(), stops[pieces].tolist(), strict=True)
         ]
+
+    def copy_with_ids(self, spans: IntArray, ids: Sequence[bytes]) -> None:
+        """Add detections of the other message as `copy` does, with other ids."""
+        if not ids:
+            return
+        start, _, fields_end, first, box, _, _ = spans
+        texts = [text_bytes(text) for text in ids]
+        sizes = np.array([len(text) for text in texts], np.int64)
+        # As in `copy`; what precedes a detection is the id of the one before.
+        gaps = (np.concatenate(([self._end], sizes[:-1])) + fields_end - start) & 4
+        source, zeros = self._source, padding(4)
+        for i, middle, gap, j, end, text in zip(
+            start.tolist(),
+            fields_end.tolist(),
+            gaps.tolist(),
+            first.tolist(),
+            (box + _BOX_BYTES).tolist(),
+            texts,
+            strict=True,
+        ):
+            self._chunks += (source[i:middle], zeros[:gap], source[j:end], text)
+        self._end += int((fields_end - start + gaps + box + _BOX_BYTES - first + sizes).sum())
+        self._filling = -(len(ids[-1]) + 1) & 3
 
     def add(self, start: int, end: int) -> None:
         """Add whole words of the other message."""

@@ -65,6 +65,26 @@ def test_rewriting_changes_the_boxes_and_nothing_else(order, message, padding) -
 
 @ORDERS
 @given(message=MESSAGES, padding=PADDING, data=st.data())
+def test_new_ids_change_nothing_else(order, message, padding, data) -> None:
+    count = len(message.detections)
+    ids = data.draw(st.lists(st.text('ab-é', max_size=9), min_size=count, max_size=count))
+    detections = Detections(encode(message, order, padding))
+    changed = tuple(map(lambda one, text: replace(one, id=text), message.detections, ids))
+    assert detections.with_ids(ids) == encode(replace(message, detections=changed))
+
+
+@ORDERS
+@given(message=MESSAGES, padding=PADDING)
+def test_boxes_can_be_written_with_the_ids(order, message, padding) -> None:
+    detections = Detections(encode(message, order, padding))
+    rows = np.arange(5.0 * len(message.detections)).reshape(-1, 5)
+    again = Detections(detections.with_ids(['x'] * len(rows), rows))
+    np.testing.assert_array_equal(again.xywhr(), rows)
+    assert again.ids() == ['x'] * len(rows)
+
+
+@ORDERS
+@given(message=MESSAGES, padding=PADDING, data=st.data())
 def test_detections_that_are_not_named_keep_their_box(order, message, padding, data) -> None:
     count = len(message.detections)
     named = np.array(data.draw(st.lists(st.booleans(), min_size=count, max_size=count)), bool)
