@@ -19,7 +19,14 @@ PACKAGE = 'obbhbb_ros'
 MANIFEST = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
 MAINTAINER = MANIFEST.find('maintainer')
 
-NODES = ('obb_to_hbb', 'chip_extractor', 'downlink', 'overlay', 'play_detections')
+NODES = (
+    'obb_to_hbb',
+    'chip_extractor',
+    'downlink',
+    'overlay',
+    'play_detections',
+    'ship_tracker',
+)
 
 ROS = [
     'ros-jazzy-rclpy',

@@ -26,8 +26,10 @@ PATHS = {
     'chip_extractor': {'spool': 'spool.path'},
     'downlink': {'spool': 'spool.path', 'outbox': 'outbox.path'},
 }
+# What `ship_tracker` publishes, whatever it reads.
+TRACKED = {'input_type': 'Detection2DArray'}
 CHAIN = ('obb_to_hbb', 'chip_extractor', 'downlink')
-NODES = (*CHAIN, 'overlay')
+NODES = (*CHAIN, 'overlay', 'ship_tracker')
 TOPICS = (
     'detections',
     'polygons',
@@ -37,6 +39,7 @@ TOPICS = (
     'boxes',
     'crop_regions',
     'crop_sources',
+    'tracked_detections',
 )
 
 
@@ -83,7 +86,14 @@ def _chosen(value: ArgumentValue) -> list[str]:
 def _node(value: ArgumentValue, name: str) -> Any:
     """Describe a node."""
     parameters = [*_files(value, name), *_paths(value, name), *state_file(value, name)]
+    if name == 'obb_to_hbb' and 'ship_tracker' in _chosen(value):
+        return node(_behind_tracker(value), name, name, [*parameters, TRACKED], TOPICS)
     return node(value, name, name, parameters, TOPICS)
+
+
+def _behind_tracker(value: ArgumentValue) -> ArgumentValue:
+    """Return the arguments of a node that reads the detections of `ship_tracker`."""
+    return lambda name: value('tracked_detections' if name == 'detections' else name)
 
 
 def _files(value: ArgumentValue, name: str) -> list[str]:

@@ -139,9 +139,11 @@ def answer(
     wants_crops = (False, False) if wants_boxes else _crops_wanted(outputs)
     if not wants_boxes and not any(wants_crops):
         return ConversionOutcome({'messages_without_subscriber': 1}, {})
-    image_size, used = _image_size(settings, camera)
+    image_size, used = known_image_size(settings.image_size, camera)
     if image_size is None and not settings.input_frame.is_image:
-        return ConversionOutcome({'messages_without_image_size': 1}, _no_size(['no boxes']))
+        return ConversionOutcome(
+            {'messages_without_image_size': 1}, no_size_complaint(['no boxes'])
+        )
     batch = Batch(data, input_type, settings, image_size)
     if wants_boxes:
         outputs.boxes.publish(batch.boxes_message())
@@ -154,7 +156,7 @@ def answer(
             missed.append('boxes are not clipped')
         if missed:
             counts['messages_without_image_size'] = 1
-            complaints = _no_size(missed)
+            complaints = no_size_complaint(missed)
     elif any(wants_crops):
         counts |= _publish_crops(batch, outputs, *wants_crops)
     reported, texts = _reports(batch, camera if used else None, any(wants_crops))
@@ -165,17 +167,33 @@ def _reports(
     batch: Batch, camera: CameraChoice[WireCamera] | None, wants_crops: bool
 ) -> tuple[dict[str, int], dict[str, str]]:
     """Count what looks wrong in a message, and complain of it by kind."""
-    counts, complaints = {}, {}
+    complaints = {}
     if batch.complaint:
         complaints['invalid detections'] = batch.complaint
-    seen = ('camera_info', camera.camera.frame_id if camera else '')
-    if text := frames_text(('detections', batch.frame_id), seen):
-        counts['frame_ids_differ.camera_info'] = 1
-        complaints[OTHER_FRAME] = text
+    counts, texts = camera_doubt(batch.frame_id, camera)
+    complaints |= texts
     for doubt, text in batch.doubts(has_plan=batch.has_image_size and wants_crops):
         counts[doubt.key] = len(doubt.rows)
         complaints[doubt.key] = text
     return counts, complaints
+
+
+def camera_doubt(
+    frame_id: str, camera: CameraChoice[WireCamera] | None
+) -> tuple[dict[str, int], dict[str, str]]:
+    """
+    Count detections of another frame than the camera that gave the size, and complain by kind.
+
+    Parameters
+    ----------
+    frame_id : str
+        Frame of the detections.
+    camera : CameraChoice of WireCamera, optional
+        The camera, if it gave the size of the image.
+    """
+    seen = ('camera_info', camera.camera.frame_id if camera else '')
+    text = frames_text(('detections', frame_id), seen)
+    return ({'frame_ids_differ.camera_info': 1}, {OTHER_FRAME: text}) if text else ({}, {})
 
 
 def outside_complaint(watch: OutsideWatch, outcome: ConversionOutcome) -> dict[str, str]:
@@ -193,11 +211,20 @@ def outside_complaint(watch: OutsideWatch, outcome: ConversionOutcome) -> dict[s
     }
 
 
-def _image_size(
-    settings: ConversionSettings, camera: CameraChoice[WireCamera] | None
+def known_image_size(
+    size: tuple[int, int], camera: CameraChoice[WireCamera] | None
 ) -> tuple[tuple[int, int] | None, dict[str, int]]:
-    """Return the size of the image, None if it is unknown, and count the camera that gave it."""
-    width, height = settings.image_size
+    """
+    Return the size of the image, None if it is unknown, and count the camera that gave it.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Width and height from the parameters, pixels; 0 where the camera decides.
+    camera : CameraChoice of WireCamera, optional
+        The camera of the image.
+    """
+    width, height = size
     used = {}
     if camera is not None and not (width and height):
         used[camera.key] = 1
@@ -211,7 +238,7 @@ def _crops_wanted(outputs: Outputs) -> tuple[bool, bool]:
     return bool(outputs.crop_sources.wanted()), bool(outputs.crop_regions.wanted())
 
 
-def _no_size(consequences: list[str]) -> dict[str, str]:
+def no_size_complaint(consequences: list[str]) -> dict[str, str]:
     """Say what follows from an unknown size of the image."""
     return {
         'no image size': f'{", ".join(consequences)} without the size of the image: set '

@@ -36,6 +36,7 @@ PARAMETER_FILES: tuple[tuple[str, str, str, Mapping[str, Any]], ...] = (
     ('chip_extractor', 'chip_extractor', 'the default settings.', {}),
     ('downlink', 'downlink', 'the default settings. Set the two folders.', {}),
     ('overlay', 'overlay', 'the default settings.', {}),
+    ('ship_tracker', 'ship_tracker', 'the default settings.', {}),
 )
 _INDENT = ' ' * 4
 _COLUMNS = 100
@@ -95,7 +96,7 @@ def aggregator_file() -> str:
             f"                    regex: ['(.*/)?{node}']",
             '                    timeout: 5.0',
         ]
-        if node == 'overlay':
+        if node in ('overlay', 'ship_tracker'):
             lines += [
                 '                    # It may be absent.',
                 '                    num_items: 0',

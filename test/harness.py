@@ -469,7 +469,7 @@ class Node(Closing):
 
 class Converter(Node):
     """
-    The node `obb_to_hbb` and a peer.
+    The node `obb_to_hbb`, or another that answers detections on `topic`, and a peer.
 
     `boxes` receives what the peer hears on that topic, unless `listen` is false.
     """
@@ -481,10 +481,12 @@ class Converter(Node):
         parameters: Mapping[str, Any] | None = None,
         namespace: str = '',
         listen: bool = True,
+        executable: str = 'obb_to_hbb',
+        topic: str = 'boxes',
     ) -> None:
-        super().__init__(site, 'obb_to_hbb', namespace)
+        super().__init__(site, executable, namespace)
         self._input_type = INPUT_TYPES[(parameters or {}).get('input_type', 'Detection2DArray')]
-        self.boxes = self.peer.collect(Detection2DArray, 'boxes') if listen else []
+        self.boxes = self.peer.collect(Detection2DArray, topic) if listen else []
         self.start(arguments, parameters)
 
     @cached_property

@@ -21,6 +21,7 @@ NODES = {
     'downlink': 'Downlink',
     'overlay': 'Overlay',
     'play_detections': 'PlayDetections',
+    'ship_tracker': 'ShipTracker',
 }
 """The class of each executable; its module has the name of the executable."""
 

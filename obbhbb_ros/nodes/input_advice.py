@@ -18,6 +18,7 @@ _MADE = (
     'chip/compressed',
     'chip/detections',
     'overlay/compressed',
+    'tracked_detections',
 )
 
 

@@ -86,3 +86,7 @@ def folder_of(values: Mapping[str, Any], name: str) -> str:
     if path and not os.path.isabs(path):
         raise ValueError(f'{name} must be an absolute path, not {path}')
     return os.path.normpath(path) if path else ''
+
+
+IMAGE_SIZE = size_rows('image', 'the image, pixels. 0: from `camera_info`.')
+"""Size of the image in which detections lie."""

@@ -26,7 +26,7 @@ from obbhbb_ros.limits import Choices
 from obbhbb_ros.limits import Range
 from obbhbb_ros.limits import setting
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
-from obbhbb_ros.settings.common import size_rows
+from obbhbb_ros.settings.common import IMAGE_SIZE
 from obbhbb_ros.settings.detection_input import DETECTION_INPUT
 from obbhbb_ros.settings.detection_input import input_frame
 from obbhbb_ros.settings.parameters import MAX_CLASSES
@@ -224,7 +224,7 @@ _ROWS = (
         f'Classes that have parameters of their own, `classes.<id>.*`, at most {MAX_CLASSES}. '
         'Empty strings are ignored.',
     ),
-    *size_rows('image', 'the image, pixels. 0: from `camera_info`.'),
+    *IMAGE_SIZE,
     Parameter(
         'clip_boxes',
         False,

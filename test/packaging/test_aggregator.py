@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-MANAGED = {'obb_to_hbb', 'chip_extractor', 'downlink', 'overlay'}
+MANAGED = {'obb_to_hbb', 'chip_extractor', 'downlink', 'overlay', 'ship_tracker'}
 FILE = Path(__file__).parents[2] / 'config' / 'diagnostic_aggregator.yaml'
 PARAMETERS = yaml.safe_load(FILE.read_text(encoding='utf-8'))['analyzers']['ros__parameters']
 GROUP = PARAMETERS['obbhbb']

@@ -17,6 +17,7 @@ from obbhbb_ros.settings.downlink import DOWNLINK
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.parameter_file import read_values
+from obbhbb_ros.settings.ship_tracker import SHIP_TRACKER
 from obbhbb_ros.study.harbour import harbour
 
 pytestmark = pytest.mark.once
@@ -45,6 +46,7 @@ def test_every_parameter_file_and_every_marked_table_follows_from_the_tables() -
         ('chip_extractor', CHIP_EXTRACTOR, {}),
         ('downlink', DOWNLINK, {}),
         ('overlay', OVERLAY, {}),
+        ('ship_tracker', SHIP_TRACKER, {}),
     ],
 )
 def test_a_shipped_yaml_states_every_parameter_and_can_be_used(name, table, differences) -> None:

@@ -17,6 +17,7 @@ SHARE = [
     'obbhbb_ros/config/obb_to_hbb.yaml',
     'obbhbb_ros/config/chip_extractor.yaml',
     'obbhbb_ros/config/overlay.yaml',
+    'obbhbb_ros/config/ship_tracker.yaml',
     'obbhbb_ros/config/paper.yaml',
     'obbhbb_ros/config/diagnostic_aggregator.yaml',
     'obbhbb_ros/config/fastdds_large.xml',

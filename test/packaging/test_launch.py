@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 CONVERTER = ROOT / 'launch' / 'obb_to_hbb.launch.py'
 DOWNLINK = ROOT / 'launch' / 'downlink.launch.py'
 CHAIN = ('obb_to_hbb', 'chip_extractor', 'downlink')
-NODES = (*CHAIN, 'overlay')
+NODES = (*CHAIN, 'overlay', 'ship_tracker')
 CHAIN_TOPICS = (
     'detections',
     'polygons',
@@ -20,6 +20,7 @@ CHAIN_TOPICS = (
     'boxes',
     'crop_regions',
     'crop_sources',
+    'tracked_detections',
 )
 TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions', 'crop_sources')
 LARGE = 'config/fastdds_large.xml'
@@ -108,7 +109,9 @@ def test_every_argument_of_the_downlink_applies(tmp_path: Path) -> None:
     assert [node.executable for node in ran.started] == sorted(NODES)
     for node in ran.started:
         itself = {'__node': node.executable, '__ns': '/payload'}
-        assert node.remaps == itself | topics
+        behind = {'detections': topics['tracked_detections']}
+        read = behind if node.executable == 'obb_to_hbb' else {}
+        assert node.remaps == itself | topics | read
         assert node.values('--params-file') == [str(files[node.executable]), str(common)]
         assert node.values('--log-level') == ['debug']
         assert node.parameters.get('spool.path', '/data/spool') == '/data/spool'
@@ -123,6 +126,17 @@ def test_each_node_can_be_launched_alone(name: str) -> None:
     assert node.executable == node.remaps['__node'] == name
     assert node.values('--params-file') == [f'config/{name}.yaml']
     assert node.respawn
+
+
+def test_the_conversion_reads_what_the_tracker_publishes() -> None:
+    names = 'obb_to_hbb ship_tracker'
+    given = {'nodes': names, 'detections': '/yolo', 'tracked_detections': '/ships'}
+    converter, tracker = launched(DOWNLINK, given).started
+    assert converter.remaps['detections'] == '/ships'
+    assert converter.parameters['input_type'] == 'Detection2DArray'
+    assert tracker.remaps['detections'] == '/yolo'
+    assert tracker.remaps['tracked_detections'] == '/ships'
+    assert 'input_type' not in tracker.parameters
 
 
 def test_some_of_the_nodes_can_be_launched() -> None:

@@ -400,7 +400,7 @@ def flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
 
 # Nodes ----------------------------------------------------------------------------------------
 
-MANAGED = ['obb_to_hbb', 'chip_extractor', 'downlink', 'overlay']
+MANAGED = ['obb_to_hbb', 'chip_extractor', 'downlink', 'overlay', 'ship_tracker']
 SOURCES = '\n'.join(map(text_of, sorted((ROOT / 'obbhbb_ros').glob('**/*.py'))))
 
 
@@ -459,6 +459,8 @@ def test_the_topics_of_the_player_stand_in_its_code() -> None:
         ('obb_to_hbb', 'crops', {each.value for each in LeftOut}),
         ('chip_extractor', 'unpaired', {each.value for each in Unpaired}),
         ('overlay', 'frames', {each.value for each in NotDrawn}),
+        ('ship_tracker', 'untracked', {'invalid', 'not_followed'}),
+        ('ship_tracker', 'ids', {'repeated', 'row_numbers'}),
         (
             'chip_extractor',
             'chips',

@@ -259,7 +259,7 @@ def test_a_signal_ends_a_node_that_is_not_configured_cleanly(start: Start, numbe
     assert_clean_end(node)
 
 
-EXECUTABLES = ['obb_to_hbb', 'chip_extractor', 'overlay', 'play_detections']
+EXECUTABLES = ['obb_to_hbb', 'chip_extractor', 'overlay', 'play_detections', 'ship_tracker']
 # From the first line, through imports and the start of the node, to a running node.
 MOMENTS = [0.0, 0.1, 0.5, 1.0]
 # Ctrl-C in a terminal reaches a launched node twice; later signals arrive while it ends.

@@ -136,7 +136,7 @@ def test_a_run_that_cannot_start_leaves_the_state_file_as_it_is(site: Site, tmp_
     assert json.loads(file.read_text()) == before
 
 
-@pytest.mark.parametrize('executable', ['chip_extractor', 'downlink', 'overlay'])
+@pytest.mark.parametrize('executable', ['chip_extractor', 'downlink', 'overlay', 'ship_tracker'])
 def test_every_managed_node_reports_its_last_run(
     site: Site, tmp_path: Path, executable: str
 ) -> None:

@@ -23,7 +23,7 @@ from obbhbb_ros.settings.all_nodes import NODE_TABLES
 pytestmark = pytest.mark.once
 
 POLICY = ElementTree.parse(Path(__file__).parents[2] / 'config' / 'security' / 'policy.xml')
-MANAGED = ('obb_to_hbb', 'chip_extractor', 'downlink', 'overlay')
+MANAGED = ('obb_to_hbb', 'chip_extractor', 'downlink', 'overlay', 'ship_tracker')
 NODES = (*MANAGED, 'play_detections')
 # On these the topics of a node depend.
 TOPIC_PARAMETERS = ('input_type', 'output_type', 'image_transport')

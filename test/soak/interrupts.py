@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from harness import Site
 from harness import site_at
 
-EXECUTABLES = ('obb_to_hbb', 'chip_extractor', 'overlay', 'play_detections')
+EXECUTABLES = ('obb_to_hbb', 'chip_extractor', 'overlay', 'play_detections', 'ship_tracker')
 
 
 def interrupted(site: Site, executable: str, source: random.Random) -> str:

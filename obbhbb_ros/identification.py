@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What `ship_tracker` does to a message: bytes and settings in, bytes and counts out, without ROS.
+
+    identifier = ShipIdentifier()
+    outcome = identifier.answer(data, INPUT_TYPES['Detection2DArray'], settings, camera, output)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from obbhbb_ros.downlink.cameras import CameraChoice
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.pipeline import ConversionOutcome
+from obbhbb_ros.pipeline import Output
+from obbhbb_ros.pipeline import camera_doubt
+from obbhbb_ros.pipeline import known_image_size
+from obbhbb_ros.pipeline import no_size_complaint
+from obbhbb_ros.settings.ship_tracker import TrackerSettings
+from obbhbb_ros.tracking.matcher import ShipMatcher
+from obbhbb_ros.tracking.track_ids import IdWatch
+from obbhbb_ros.tracking.track_ids import new_session
+from obbhbb_ros.tracking.track_ids import tracker_id
+from obbhbb_ros.wire.camera import WireCamera
+from obbhbb_ros.wire.detections import Detections
+from obbhbb_ros.wire.layouts import InputType
+from obbhbb_ros.wire.stamp import Stamp
+from obbhbb_ros.wire.stamp import nanoseconds_of
+from obbhbb_ros.wire.stamp import stamp_text
+
+Finding: TypeAlias = tuple[dict[str, int], dict[str, str]]
+"""Counts by key of the diagnostics, and complaints by kind."""
+
+
+class ShipIdentifier:
+    """
+    Gives the detections of message after message the ids of ships.
+
+    Attributes
+    ----------
+    session : str
+        First half of the ids that it gives, drawn anew for each object of this class.
+    """
+
+    def __init__(self) -> None:
+        self.session = new_session()
+        self._matcher = ShipMatcher()
+        self._watch = IdWatch()
+        self._stamp: Stamp | None = None
+
+    @property
+    def ships_remembered(self) -> int:
+        """How many ships are remembered."""
+        return self._matcher.object_count
+
+    def answer(
+        self,
+        data: bytes,
+        input_type: InputType,
+        settings: TrackerSettings,
+        camera: CameraChoice[WireCamera] | None,
+        output: Output,
+    ) -> ConversionOutcome:
+        """
+        Publish a message with ids, if anybody wants it.
+
+        Parameters
+        ----------
+        data : bytes
+            The serialized message.
+        input_type : InputType
+            Its type.
+        settings : TrackerSettings
+            The settings.
+        camera : CameraChoice of WireCamera, optional
+            The camera of the image, by its stamp or the latest. It gives the size of the image
+            where the settings do not.
+        output : Output
+            Where the answer goes.
+
+        Returns
+        -------
+        ConversionOutcome
+            What became of it. If the answer is not wanted, the message is not read.
+
+        Raises
+        ------
+        obbhbb_ros.wire.buffer.WireError
+            If the bytes are no such message.
+        """
+        if not output.wanted():
+            return ConversionOutcome({'messages_without_subscriber': 1}, {})
+        detections = Detections(data, input_type)
+        image_size, used = known_image_size(settings.image_size, camera)
+        own = detections.ids()
+        ids = own if settings.keeps_ids else [''] * len(own)
+        findings = [
+            ({'detections_received': len(own), 'ids_kept': sum(map(bool, ids))}, {}),
+            (used, {}),
+            self._id_doubts(ids),
+            self._stamp_doubt(detections.stamp),
+            camera_doubt(detections.frame_id, camera if used else None),
+        ]
+        if image_size is None:
+            no_size = no_size_complaint(['ships get no ids'])
+            findings.append(({'messages_without_image_size': 1}, no_size))
+        elif not ids or not all(ids):
+            boxes = settings.input_frame.oriented_boxes(
+                detections.xywhr(), detections.polygons, image_size
+            )
+            numbers = self._numbers(detections.stamp, boxes, settings.memory, image_size)
+            findings.append(_untracked(ids, numbers, boxes.valid, detections.stamp))
+            ids = self._filled(ids, numbers)
+        output.publish(_with_ids(detections, own, ids, settings))
+        counts: dict[str, int] = {}
+        complaints: dict[str, str] = {}
+        for counted, texts in findings:
+            counts |= counted
+            complaints |= texts
+        return ConversionOutcome(counts, complaints, image_size)
+
+    def _filled(self, ids: Sequence[str], numbers: NDArray[np.int64]) -> list[str]:
+        """Give ids to detections without one, by their numbers."""
+        return [
+            own or (tracker_id(self.session, number) if number >= 0 else '')
+            for own, number in zip(ids, numbers.tolist(), strict=True)
+        ]
+
+    def _numbers(
+        self, stamp: Stamp, boxes: OrientedBoxes, memory: float, image_size: tuple[int, int]
+    ) -> NDArray[np.int64]:
+        """Follow the boxes of an image; -1 for those that are not followed."""
+        self._matcher.memory = memory
+        valid, numbers = boxes.valid, np.full(len(boxes), -1, np.int64)
+        x, y = boxes.center[valid].T
+        numbers[valid] = self._matcher.track(
+            nanoseconds_of(stamp) / 1e9,
+            x + 1j * y,
+            boxes.length[valid],
+            boxes.theta[valid],
+            complex(*image_size),
+        )
+        return numbers
+
+    def _id_doubts(self, ids: Sequence[str]) -> Finding:
+        """Count ids that are no tracks, and complain of them."""
+        doubts = [*self._watch.note(ids)]
+        return (
+            {doubt.key: doubt.detections for doubt in doubts},
+            {doubt.key: doubt.text for doubt in doubts},
+        )
+
+    def _stamp_doubt(self, stamp: Stamp) -> Finding:
+        """Count and report a stamp that is not later than the last one."""
+        last, self._stamp = self._stamp, stamp
+        if last is None or stamp > last:
+            return {}, {}
+        text = (
+            f'a message has the stamp {stamp_text(stamp)}, the one before it '
+            f'{stamp_text(last)}: ships are followed by stamps, which have to grow'
+        )
+        return {'stamps_not_later': 1}, {'stamps': text}
+
+
+def _untracked(
+    ids: Sequence[str], numbers: NDArray[np.int64], valid: NDArray[np.bool_], stamp: Stamp
+) -> Finding:
+    """Count the detections without own id that get one, and those that do not, by reason."""
+    without = np.array([not own for own in ids], np.bool_)
+    untracked = without & (numbers < 0)
+    found = {
+        'ids_assigned': without & ~untracked,
+        'detections_untracked.invalid': untracked & ~valid,
+        'detections_untracked.not_followed': untracked & valid,
+    }
+    counts = {key: int(rows.sum()) for key, rows in found.items() if rows.any()}
+    if not untracked.any():
+        return counts, {}
+    text = (
+        f'{np.count_nonzero(untracked)} of {len(ids)} detections at stamp {stamp_text(stamp)} get '
+        f'no id: index {untracked.argmax()} is '
+        f'{"not followed" if valid[untracked.argmax()] else "invalid"}'
+    )
+    return counts, {'untracked': text}
+
+
+def _with_ids(
+    detections: Detections, own: Sequence[str], ids: Sequence[str], settings: TrackerSettings
+) -> bytes:
+    """Write a message with ids; of polygons, with their boxes."""
+    if detections.polygons is not None:
+        return detections.with_ids(ids, _boxes_of_polygons(detections, settings))
+    if ids == own:
+        # Ids that are not UTF-8 remain.
+        rows = np.zeros(len(own), np.bool_)
+        return detections.rewrite(np.zeros((len(own), 4)), rows)
+    return detections.with_ids(ids)
+
+
+def _boxes_of_polygons(detections: Detections, settings: TrackerSettings) -> FloatArray:
+    """Return the boxes of polygons as a detector would send them; (N, 5)."""
+    frame = settings.input_frame
+    boxes = frame.oriented_boxes(detections.xywhr(), detections.polygons)
+    return np.column_stack(
+        (boxes.center, boxes.length, boxes.width, boxes.theta / frame.theta_scale)
+    )

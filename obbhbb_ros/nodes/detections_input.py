@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The input of the nodes that read oriented detections, and the camera of each message."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+from typing import TypeAlias
+
+from sensor_msgs.msg import CameraInfo
+
+from obbhbb_ros.downlink.cameras import CameraChoice
+from obbhbb_ros.downlink.cameras import CameraMemory
+from obbhbb_ros.downlink.joiner import CAMERAS_KEPT
+from obbhbb_ros.nodes.managed import ManagedNode
+from obbhbb_ros.nodes.node_topics import reliable
+from obbhbb_ros.nodes.parts import Part
+from obbhbb_ros.pipeline import OTHER_FRAME
+from obbhbb_ros.pipeline import ConversionOutcome
+from obbhbb_ros.wire.camera import WireCamera
+from obbhbb_ros.wire.camera import read_camera
+from obbhbb_ros.wire.layouts import INPUT_TYPES
+from obbhbb_ros.wire.layouts import InputType
+from obbhbb_ros.wire.stamp import stamp_at_start
+
+Answer: TypeAlias = Callable[[bytes, InputType, CameraChoice[WireCamera] | None], ConversionOutcome]
+
+
+class DetectionsInput(Part):
+    """
+    Reads `detections` or `polygons`, and `camera_info`.
+
+    It is the last part of its node, and counts and reports what becomes of a message.
+
+    Parameters
+    ----------
+    node : ManagedNode
+        The node, with the parameter `input_type`.
+    answer : callable
+        Takes a message, its type and the camera of its image; publishes what comes of it.
+    """
+
+    def __init__(self, node: ManagedNode[Any], answer: Answer) -> None:
+        self._node, self._answer = node, answer
+        self._input_type = INPUT_TYPES[node.get_parameter('input_type').value]
+        # First, so that the node knows an image size that was published before the detections.
+        cameras = reliable(CAMERAS_KEPT)
+        node.topics.input(CameraInfo, 'camera_info', self._on_camera_info, qos=cameras)
+        self._detections = node.topics.input(
+            self._input_type, self._input_type.topic, self._on_message, 'messages_received'
+        )
+        node.parts.append(self)
+
+    def configure(self) -> None:
+        """Forget the cameras."""
+        self._cameras = CameraMemory[WireCamera]()
+
+    def _on_camera_info(self, data: bytes) -> None:
+        """Keep the camera for the detections of its stamp."""
+        camera = read_camera(data)
+        self._cameras.add(camera.stamp, camera, time.monotonic())
+
+    def _on_message(self, data: bytes) -> None:
+        """Answer a message; count and report what became of it."""
+        started = time.perf_counter()
+        camera = self._cameras.choice(stamp_at_start(data))
+        outcome = self._answer(data, self._input_type, camera)
+        monitor, reporter = self._node.monitor, self._node.reporter
+        monitor.counts.update(outcome.counts)
+        if 'messages_without_subscriber' in outcome.counts:
+            return
+        for kind, text in outcome.complaints.items():
+            said = f'{self._detections.topic_name}: {text}'
+            if kind == OTHER_FRAME:
+                reporter.warn_once(said)
+            else:
+                reporter.warn(kind, said)
+        monitor.took(time.perf_counter() - started)
