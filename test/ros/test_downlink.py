@@ -239,6 +239,33 @@ def test_what_is_stored_is_released_with_everything_that_is_known_of_it(
         }
 
 
+def test_compact_json_names_a_camera_that_comes_down_once(chain: Chain) -> None:
+    cameras = chain.chips.heard_publisher(CameraInfo, 'camera_info')
+    cameras.publish(CameraInfo(width=256, height=256, k=np.arange(1.0, 10.0)))
+
+    def images_with_camera() -> float:
+        chain.store([0.5])
+        return chain.chips.counts()['camera_info_latest']
+
+    chain.chips.wait(lambda: images_with_camera() >= 2, 'chips with a camera')
+    node = chain.downlink(outbox__json='compact')
+    node.wait(lambda: chain.books()['spool.delivered'] == chain.books()['spool.planned'], 'all')
+    records = [json.loads(path.read_text()) for path in chain.outbox.glob(COMPLETE)]
+    ((camera,), chips) = (
+        [each for each in records if ('kind' in each) == is_camera] for is_camera in (True, False)
+    )
+    assert {each['camera']['id'] for each in chips if each['camera']} == {camera['id']}
+    content = json.loads((chain.outbox / '0' / f'{camera["id"]}.camera').read_bytes())
+    assert content['k'] == list(range(1, 10))
+    node.wait(lambda: node.counts()['cameras_released'] == 1, 'the count of cameras')
+    # By parameter, while it runs.
+    node.set({'outbox.json': 'full'})
+    chain.store([0.7])
+    node.wait(lambda: chain.books()['spool.delivered'] > len(chips), 'one more')
+    full = [json.loads(path.read_text()) for path in chain.outbox.glob(COMPLETE)]
+    assert [each['camera']['k'] for each in full if each.get('value') == 0.7] == [content['k']]
+
+
 def test_release_waits_for_contact_and_goes_by_value_then_age(chain: Chain) -> None:
     for scores in ([0.2, 0.9], [0.5, 0.9]):
         chain.store(scores)
@@ -258,7 +285,7 @@ def test_release_waits_for_contact_and_goes_by_value_then_age(chain: Chain) -> N
     with Peer(chain.site.context, chain.chips.namespace) as ground:
         contact = ground.publisher(Bool, 'contact', LATCHED)
         contact.publish(Bool(data=True))
-        node.wait(lambda: node.counts()['spool.waiting'] == 0, 'all released')
+        node.wait(lambda: chain.books()['spool.delivered'] == chain.books()['spool.planned'], 'all')
         contact.publish(Bool(data=False))
         node.wait(lambda: values_of(node.next_report())['contact'] == 'false', 'the end of contact')
         chain.store([0.99])
