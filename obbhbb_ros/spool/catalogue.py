@@ -5,6 +5,8 @@ A durable SQLite database in a folder: transactions that survive kills, damage a
 Several processes may use it at once. A damaged database stays where it is, with a mark beside it,
 and a new one takes its place. The new one never has the name of an old one: a process that still
 has the old one open would delete the files of the new one.
+
+Damage of indexes alone is made good, once: a second one is the disk's.
 """
 
 from __future__ import annotations
@@ -31,6 +33,10 @@ from obbhbb_ros.files import sync_folder
 _NAME = re.compile(r'chips_([0-9]+)_[0-9a-f]{6}\.sqlite3')
 DAMAGED = '.damaged'
 """Suffix of the mark beside a damaged database."""
+# Suffix of the mark beside a database whose indexes were rebuilt, or were to be.
+_REBUILT = '.rebuilt'
+# Seconds after that in which another process may still meet the damage of before.
+_AFTERMATH = 60.0
 # Name of the lock of a process that opens a database.
 _OPENING = 'open.lock'
 # Seconds to wait for a process that holds the lock, after the first wait in vain.
@@ -42,7 +48,7 @@ class SpoolError(ObbhbbError, OSError):
 
 
 class SpoolDamagedError(SpoolError):
-    """The database in use is damaged and set aside; the next transaction begins a new one."""
+    """The database in use was damaged; it is mended, or the next transaction begins a new one."""
 
 
 class CatalogueSchema(NamedTuple):
@@ -57,11 +63,14 @@ class CatalogueSchema(NamedTuple):
         SQL script that creates them.
     migrate : callable
         Makes them of those of the version before, by a cursor in a transaction.
+    on_rebuilt : callable
+        Writes down that their indexes were rebuilt, by a cursor in the same transaction.
     """
 
     version: int
     script: str
     migrate: Callable[[sqlite3.Cursor], object]
+    on_rebuilt: Callable[[sqlite3.Cursor], object]
 
 
 class Catalogue:
@@ -106,6 +115,7 @@ class Catalogue:
         self._path = folder
         self._files: list[tuple[int, int] | None] = []
         self._locks: list[int] = []
+        self._rebuilt = folder
         self.tag = ''
 
     @property
@@ -133,8 +143,8 @@ class Catalogue:
         Raises
         ------
         SpoolDamagedError
-            If the database is damaged, or its files were deleted or replaced. It is set aside, and
-            the next transaction uses a new one.
+            If the database is damaged, or its files were deleted or replaced. If rebuilding its
+            indexes does not mend it, it is set aside, and the next transaction uses a new one.
         SpoolError
             If the database cannot be used now.
         """
@@ -219,7 +229,7 @@ class Catalogue:
             try:
                 return self._connect()
             except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-                if not _is_damage(error):
+                if not self._is_damage(error):
                     raise
                 self._on_trouble(self._set_aside(error))
                 self._path = self._new_path()
@@ -281,15 +291,76 @@ class Catalogue:
 
     def _failure(self, error: Exception) -> SpoolError:
         """Turn an error into one of ours; set the database aside if the error means damage."""
-        if _is_damage(error):
+        if self._is_damage(error):
             try:
-                return SpoolDamagedError(self._set_aside(error))
-            except OSError as failure:
+                return SpoolDamagedError(self._mend(error) or self._set_aside(error))
+            except (OSError, sqlite3.OperationalError) as failure:
                 error = failure
         elif isinstance(error, sqlite3.OperationalError) and 'locked' in str(error):
             # Another process holds the lock.
             self._set_wait(_IMPATIENCE)
         return SpoolError(f'{self._folder}: {error}')
+
+    def _is_damage(self, error: Exception) -> bool:
+        """Return whether an error means a damaged file, rather than a disk or another process."""
+        if isinstance(error, sqlite3.OperationalError) and 'readonly' in str(error):
+            return self._is_refused()
+        return _is_damage(error)
+
+    def _is_refused(self) -> bool:
+        """Return whether SQLite does not write a file that may be written: by its header."""
+        if not all(os.access(path, os.W_OK) for path in (self._path, self._folder)):
+            return False
+        # Another connection: the one in use may be older than the right to write.
+        with closing(sqlite3.connect(self._path, self._wait, isolation_level=None)) as database:
+            try:
+                database.execute('BEGIN IMMEDIATE')
+            except sqlite3.Error as error:
+                return 'readonly' in str(error)
+        return False
+
+    def _mend(self, error: Exception) -> str:
+        """
+        Rebuild the indexes, once for a database; return a text that says so, '' if in vain.
+
+        Raises
+        ------
+        OSError, sqlite3.OperationalError
+            If that cannot be done now, or another process has just done it.
+        """
+        if isinstance(error, sqlite3.OperationalError):
+            # A table is missing, or the header is damaged.
+            return ''
+        uri = f'{self._path.resolve().as_uri()}?mode=rw'
+        with closing(
+            sqlite3.connect(uri, timeout=self._wait, isolation_level=None, uri=True)
+        ) as database:
+            database.text_factory = lossy_text
+            try:
+                with _transaction(database, write=True) as rows:
+                    if not self._may_rebuild():
+                        return ''
+                    rows.execute('REINDEX')
+                    (text,) = rows.execute('PRAGMA integrity_check(1)').fetchone()
+                    if text != 'ok':
+                        raise sqlite3.DatabaseError(text)
+                    self._schema.on_rebuilt(rows)
+            except (sqlite3.Error, UnicodeDecodeError) as failure:
+                if not _is_damage(failure):
+                    raise
+                return ''
+        return f'{self._path} was damaged; its indexes are rebuilt'
+
+    def _may_rebuild(self) -> bool:
+        """Take the one chance to rebuild the indexes; False if it is taken."""
+        mark = self._path.with_name(self._path.name + _REBUILT)
+        if not mark.exists():
+            mark.touch()
+            self._rebuilt = self._path
+            return True
+        if self._rebuilt != self._path and abs(time.time() - mark.stat().st_mtime) < _AFTERMATH:
+            raise SpoolError(f'{self._path} was damaged; another process rebuilds its indexes')
+        return False
 
     def _set_aside(self, error: object) -> str:
         """Mark the database in use as damaged; return a text that says so."""
@@ -336,7 +407,7 @@ def _identity(path: str) -> tuple[int, int] | None:
 def _is_damage(error: Exception) -> bool:
     """Return whether an error means a damaged file, rather than a disk or another process."""
     if isinstance(error, sqlite3.OperationalError):
-        return str(error).startswith('no such')
+        return str(error).startswith(('no such', 'unsupported file format'))
     # Damaged names make messages of SQLite that Python cannot read.
     return isinstance(error, sqlite3.DatabaseError | UnicodeDecodeError) and not isinstance(
         error, sqlite3.ProgrammingError | sqlite3.NotSupportedError

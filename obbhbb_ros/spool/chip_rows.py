@@ -136,7 +136,8 @@ COLUMNS = ', '.join(StoredChip._fields)
 
 def number_of(chip_id: str) -> int:
     """Return the number of the row that an id names; 0, which no row has, if it names none."""
-    match = _ID.fullmatch(chip_id)
+    # Damage may have turned it into bytes.
+    match = _ID.fullmatch(chip_id) if isinstance(chip_id, str) else None
     return int(match[1]) if match else 0
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from obbhbb_ros.spool.access import SpoolAccess
 from obbhbb_ros.spool.books import Books
 from obbhbb_ros.spool.books import change_chips
+from obbhbb_ros.spool.books import number
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import COLUMNS
 from obbhbb_ros.spool.chip_rows import ChipState
@@ -95,6 +96,9 @@ class SpoolReleaser(SpoolAccess):
             if claim.chips or claim.stall:
                 return claim
             waiting = sum(books.held[state][0] for state in states)
+            in_states = f'FROM chips WHERE state IN ({", ".join("?" * len(states))})'
+            if waiting and not number(rows, f'SELECT EXISTS (SELECT 1 {in_states})', *states):
+                raise sqlite3.DatabaseError('chips that wait are not in its index')
             return Claim([], Stall.ALL_TOO_LARGE if waiting else Stall.NOTHING_WAITS)
 
     def unclaim(self, ids: Collection[str]) -> None:
@@ -167,7 +171,15 @@ def _deliver(rows: sqlite3.Cursor, books: Books, ids: Collection[str]) -> None:
             f'DELETE FROM chips WHERE seq = ? AND id = ? AND state = ? RETURNING {COLUMNS}',
             (number_of(chip_id), chip_id, ChipState.RELEASED),
         )
-        for chip in map(StoredChip._make, rows.fetchall()):
+        delivered = rows.fetchall()
+        if not delivered:
+            # Its id is damaged.
+            rows.execute(
+                f'DELETE FROM chips WHERE id IS ? AND state = ? RETURNING {COLUMNS}',
+                (chip_id, ChipState.RELEASED),
+            )
+            delivered = rows.fetchall()
+        for chip in map(StoredChip._make, delivered):
             books.take(ChipState.RELEASED, [chip.bytes])
             # Nobody knows what became of a chip with another id.
             if chip.is_intact():

@@ -114,4 +114,11 @@ def _move_chips(rows: sqlite3.Cursor, books: Books) -> int:
     return len(old)
 
 
-SCHEMA = CatalogueSchema(2, _SCRIPT, _from_version_1)
+def _count_rebuilt(rows: sqlite3.Cursor) -> None:
+    """Count in the books that damage was made good."""
+    books = Books.read(rows)
+    books.count('restored', 1)
+    books.write(rows)
+
+
+SCHEMA = CatalogueSchema(2, _SCRIPT, _from_version_1, _count_rebuilt)

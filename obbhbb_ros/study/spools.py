@@ -106,6 +106,7 @@ def wrong_with(console: SpoolConsole) -> Iterator[str]:
                 yield f'{chip.id}: its file or description is damaged'
     except SpoolDamagedError as error:
         note(str(error))
+        yield 'the check has not come to its end'
     # Last: the checks may have set the catalogue aside.
     status = console.status()
     if status.balance:

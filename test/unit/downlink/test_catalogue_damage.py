@@ -60,9 +60,9 @@ def go_on(spool, folder, troubles):
 # Bits
 
 
-@pytest.mark.parametrize('bit', [65026, 129442])
+@pytest.mark.parametrize('bit', [144, 376, 49304, 65026, 129442, 157528])
 def test_bits_that_once_stopped_a_node(tmp_path, bit) -> None:
-    """The state of a row is bytes; the text of the books is nothing."""
+    """Of the header, of an index, the state of a row, the text of the books, the id of a chip."""
     flips = Flips(tmp_path)
     assert flips.check(bit)
 
@@ -72,6 +72,33 @@ def test_no_flipped_bit_releases_a_wrong_chip_or_stops_a_node(tmp_path) -> None:
     flips = Flips(tmp_path)
     outcomes = {flips.check(bit) for bit in range(0, flips.bits, 2503)}
     assert outcomes >= {'set aside', '1 damaged chips, reported', '0 damaged chips, not a word'}
+
+
+@pytest.mark.parametrize('place', [-1, -2, -10, -100])
+def test_damage_of_an_index_alone_costs_no_chip(spool, tmp_path, troubles, place) -> None:
+    for i in range(10):
+        store(spool.writer, [0.5 + i / 1000 + j / 100000 for j in range(100)])
+    spool.close()
+    (path,) = catalogue_files(tmp_path / 'spool')
+    with database(tmp_path / 'spool') as rows:
+        (root,) = rows.execute(
+            "SELECT rootpage FROM sqlite_master WHERE name = 'chips_in_order'"
+        ).fetchone()
+    content = bytearray(path.read_bytes())
+    # The last page that the first one of the index leads to.
+    start = (root - 1) * 2048
+    assert content[start] == 2
+    page = int.from_bytes(content[start + 8 : start + 12], 'big')
+    content[page * 2048 + place] ^= 0xFF
+    path.write_bytes(content)
+    claimed = []
+    for _ in range(3):
+        with suppress(SpoolError):
+            claimed += spool.releaser.claim(2000, 1e9, 1e9, 0).chips
+    status = spool.console.status()
+    assert len(claimed) == 1000
+    assert (status.set_aside, status.balance, status.counts['restored']) == (0, 0, 1)
+    assert spool.console.integrity() == []
 
 
 def flipped(content):
