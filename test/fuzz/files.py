@@ -5,14 +5,15 @@ Feed damaged files to what reads files on the ground: labels, galleries, bags.
     python test/fuzz/files.py --inputs 2000             # of each kind
 
 Whatever the bytes are, the documented errors alone are raised, soon and within bounded memory. A
-kind is a format of labels, `class_names` or `image_size` (beside labels), `gallery`, `picture` or
-`bag`.
+kind is a format of labels, `class_names` or `image_size` (beside labels), `gallery`, `camera`,
+`picture` or `bag`.
 """
 
 from __future__ import annotations
 
 import argparse
 import io
+import json
 import resource
 import shutil
 import sys
@@ -33,6 +34,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from outboxes import make_outbox
 from sound_labels import SOUND
+from spooled import CAMERA
 
 from obbhbb_ros.bags.replay import ReplayOptions
 from obbhbb_ros.bags.replay import add_boxes
@@ -44,6 +46,10 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.labels.axis_aligned import convert_image
 from obbhbb_ros.labels.formats import FORMATS
+from obbhbb_ros.spool.compact_json import camera_id
+from obbhbb_ros.spool.compact_json import compact_bytes
+from obbhbb_ros.spool.compact_json import without_camera
+from obbhbb_ros.spool.outbox import json_bytes
 from obbhbb_ros.study.gallery import gallery_page
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.received import read_received
@@ -150,7 +156,28 @@ def gallery_kind(folder: Path) -> Kind:
         gallery_page(received, folder, 'chips')
         return f'{len(received.chips)} shown'
 
-    return [record.read_bytes()], check
+    of_ship = json.loads(record.read_bytes())
+    of_ship |= {'object': '5f3a91c2-17', 'view': 2, 'rank': 0.07, 'camera': CAMERA}
+    return [record.read_bytes(), json_bytes(of_ship)], check
+
+
+def camera_kind(folder: Path) -> Kind:
+    """Make the file of a camera that a chip names, and show what becomes of it."""
+    (record,) = make_outbox(folder / 'box', 1)
+    short, camera = without_camera(json.loads(record.read_bytes()) | {'camera': CAMERA})
+    assert camera is not None
+
+    def check(data: bytes) -> str:
+        named = camera._replace(id=camera_id(data))
+        record.write_bytes(compact_bytes(short | {'camera': short['camera'] | {'id': named.id}}))
+        file = record.with_name(f'{named.id}.camera')
+        file.write_bytes(data)
+        received = read_received(folder / 'box')
+        gallery_page(received, folder, 'chips')
+        file.unlink()
+        return f'{sum(chip.facts["camera"] is not None for chip in received.chips)} with camera'
+
+    return [camera.content], check
 
 
 def picture_kind(folder: Path) -> Kind:
@@ -187,6 +214,7 @@ OTHERS: dict[str, Callable[[Path], Kind]] = {
     'class_names': class_names_kind,
     'image_size': image_size_kind,
     'gallery': gallery_kind,
+    'camera': camera_kind,
     'picture': picture_kind,
     'bag': bag_kind,
 }
