@@ -20,8 +20,11 @@ from link import Link
 from outboxes import a_chip
 from outboxes import make_outbox
 from outboxes import put
+from spooled import CAMERA
 
 from obbhbb_ros.cli import main
+from obbhbb_ros.spool.compact_json import without_camera
+from obbhbb_ros.spool.outbox import Outbox
 
 # Long, and about DDS, SQLite and files rather than NumPy and Pillow.
 pytestmark = pytest.mark.once
@@ -163,6 +166,11 @@ def test_the_ground_takes_no_file_outside_its_folder(tmp_path, name) -> None:
 
 def test_the_two_programs_fill_the_gallery(tmp_path, capsys) -> None:
     make_outbox(tmp_path / 'outbox', 4)
+    # The fifth pair is a camera: to the bus it is one like any other.
+    _, camera = without_camera({'camera': CAMERA})
+    outbox = Outbox(tmp_path / 'outbox')
+    outbox.add(camera.id, 'camera', camera.content, camera.json_bytes(), 0)
+    outbox.finish()
     lossy = ['--loss', str(LOSS), '--timeout', str(TIMEOUT)]
     with subprocess.Popen(
         [sys.executable, str(HERE / 'ground.py'), str(tmp_path / 'down'), '--port', '0', *lossy],
@@ -186,7 +194,7 @@ def test_the_two_programs_fill_the_gallery(tmp_path, capsys) -> None:
             timeout=60,
         ).stdout
         ground.terminate()
-    assert said.startswith('4 chips delivered, ')
+    assert said.startswith('5 chips delivered, ')
     assert digests(tmp_path / 'outbox') == {}
     assert main(['gallery', str(tmp_path / 'down'), '-o', str(tmp_path / 'page.html')]) == 0
-    assert 'chips: 4, problems: 0' in capsys.readouterr().out
+    assert 'chips: 4, problems: 0\ncameras: 1\n' in capsys.readouterr().out
