@@ -167,7 +167,7 @@ def place(
         up = (axes[2] * sight).sum(axis=0) / np.sqrt((sight * sight).sum(axis=0))
         elevation = np.degrees(np.arcsin(np.clip(up, -1.0, 1.0)))
         unplaced = _reasons(boxes, rays, is_above(pose.position, surface_height))
-        unplaced[(unplaced == 0) & ~np.isfinite(hits).all(axis=(0, 1))] = Unplaced.ABOVE_HORIZON
+        unplaced[(unplaced == 0) & ~np.isfinite(hits[0]).all(axis=0)] = Unplaced.ABOVE_HORIZON
         unplaced[(unplaced == 0) & ~(elevation >= min_elevation)] = Unplaced.LOW
         length = np.hypot(*ahead)
         width = np.abs(ahead[0] * aside[1] - ahead[1] * aside[0]) / length
@@ -194,7 +194,7 @@ def _reasons(boxes: OrientedBoxes, rays: FloatArray, above: bool) -> NDArray[np.
     unplaced = np.zeros(len(boxes), np.uint8)
     if not above:
         unplaced[:] = Unplaced.BELOW_SURFACE
-    seen = np.isfinite(rays).all(axis=1).reshape(4, -1).all(axis=0)
-    unplaced[~seen] = Unplaced.NO_RAY
+    # A ray is finite, or none of its components is.
+    unplaced[~np.isfinite(rays[:, 2]).reshape(4, -1).all(axis=0)] = Unplaced.NO_RAY
     unplaced[~boxes.valid] = Unplaced.NO_BOX
     return unplaced

@@ -55,28 +55,17 @@ def covariances(
     steps = _steps(pose, rays)
     if steps is None:
         return None
+    moves, turns = steps
+    rotations = matrices_of_vectors(turns).transpose(1, 0, 2).reshape(-1, 3)
+    origins = (pose.position + moves)[:, None, None]
     matrices = np.empty((ends.shape[2], 4, 4))
     for start in range(0, len(matrices), _BLOCK):
         part = slice(start, start + _BLOCK)
-        shifts = _shifts(pose, steps, ends[..., part], rays[..., part], surface_height)
-        matrices[part] = _spread(_deviations(shifts, ends[..., part], axes[..., part]))
+        turned = (rotations @ rays[..., part].reshape(3, -1)).reshape(3, len(moves), 2, -1)
+        hits = first_hits(origins, np.moveaxis(turned, 0, -1), surface_height)
+        moved = np.moveaxis(hits, -1, 0)
+        matrices[part] = _spread(_deviations(moved, ends[..., part], axes[..., part]))
     return matrices
-
-
-def _shifts(
-    pose: CameraPose,
-    steps: tuple[FloatArray, FloatArray],
-    ends: FloatArray,
-    rays: FloatArray,
-    surface_height: float,
-) -> FloatArray:
-    """Compute how the steps shift bow and stern, (3, 12, 2, N)."""
-    moves, turns = steps
-    matrices = matrices_of_vectors(turns).transpose(1, 0, 2).reshape(-1, 3)
-    turned = (matrices @ rays.reshape(3, -1)).reshape(3, len(moves), *rays.shape[1:])
-    origins = (pose.position + moves)[:, None, None]
-    hits = first_hits(origins, np.moveaxis(turned, 0, -1), surface_height)
-    return np.moveaxis(hits, -1, 0) - ends[:, None]
 
 
 def _steps(pose: CameraPose, rays: FloatArray) -> tuple[FloatArray, FloatArray] | None:
@@ -98,24 +87,29 @@ def _steps(pose: CameraPose, rays: FloatArray) -> tuple[FloatArray, FloatArray] 
     return steps[:, :3], steps[:, 3:]
 
 
-def _deviations(shifts: FloatArray, ends: FloatArray, axes: FloatArray) -> FloatArray:
-    """Turn shifts of bow and stern, (3, K, 2, N), into those of the ship, (4, K, N)."""
-    middle = 0.5 * (shifts[:, :, 0] + shifts[:, :, 1])
-    longer = shifts[:, :, 0] - shifts[:, :, 1]
-    east, north = axes
-    place = [_inner(axis, middle) for axis in (east, north)]
+def _deviations(moved: FloatArray, ends: FloatArray, axes: FloatArray) -> FloatArray:
+    """
+    Compare moved bows and sterns, (3, K, 2, N), with those that are, (3, 2, N).
+
+    Returns the deviations of east, north, length and course, (4, K, N).
+    """
+    (bow_x, stern_x), (bow_y, stern_y) = (
+        [_inner(axis, moved[:, :, i]) - _inner(axis, ends[:, i]) for i in (0, 1)] for axis in axes
+    )
     hull = ends[:, 0] - ends[:, 1]
-    x, y = ((axis * hull).sum(axis=0) for axis in (east, north))
+    x, y = (_inner(axis, hull) for axis in axes)
     length = np.hypot(x, y)
     x, y = x / length, y / length
-    along_x, along_y = (_inner(axis, longer) for axis in (east, north))
-    # Of the new hull, along the old one and to the right of it.
-    along, right = length + along_x * x + along_y * y, along_x * y - along_y * x
-    return np.array((*place, np.hypot(along, right) - length, np.arctan2(right, along)))
+    longer_x, longer_y = bow_x - stern_x, bow_y - stern_y
+    # Of the moved hull, along the other one and to the right of it.
+    along, right = length + longer_x * x + longer_y * y, longer_x * y - longer_y * x
+    east, north = 0.5 * (bow_x + stern_x), 0.5 * (bow_y + stern_y)
+    longer = np.sqrt(along * along + right * right) - length
+    return np.array((east, north, longer, np.arctan2(right, along)))
 
 
 def _inner(axis: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Compute the inner products, (K, N), of axes, (3, N), and vectors, (3, K, N)."""
+    """Compute the inner products, (..., N), of axes, (3, N), and vectors, (3, ..., N)."""
     product: FloatArray = axis[0] * vectors[0] + axis[1] * vectors[1] + axis[2] * vectors[2]
     return product
 
