@@ -57,6 +57,14 @@ def add_spool_options(parser: ArgumentParser) -> None:
         help='only chips of these classes',
     )
     add('--id', dest='ids', nargs='+', default=(), metavar='ID', help='only these chips')
+    add(
+        '--object',
+        dest='objects',
+        nargs='+',
+        default=(),
+        metavar='OBJECT',
+        help='only chips of these ships, by the key object of their JSON',
+    )
     for bound, default, others in (('min', -math.inf, 'more'), ('max', math.inf, 'less')):
         meaning = f'only chips of this value or {others}'
         add(f'--{bound}-value', type=float, default=default, metavar='V', help=meaning)
@@ -83,7 +91,9 @@ def run_spool(options: Namespace) -> int:
         raise ValueError(f'--limit must be 0 or more, not {options.limit}')
     if math.isnan(options.min_value) or math.isnan(options.max_value):
         raise ValueError('--min-value and --max-value must be numbers')
-    chips = ChipFilter(options.class_ids, options.ids, options.min_value, options.max_value)
+    chips = ChipFilter(
+        options.class_ids, options.ids, options.min_value, options.max_value, options.objects
+    )
     if options.spool.is_file() and options.action == 'export':
         intact = ((chip, data) for chip, data in intact_chips(options.spool) if chips.matches(chip))
         _export(intact, options)
@@ -104,7 +114,7 @@ def _list_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) ->
     if options.json:
         print(json.dumps(spools.as_json(status, shown), indent=1, ensure_ascii=False))
     else:
-        print(spools.status_text(status) + '\n\n' + spools.chip_table(shown))
+        print(spools.status_text(status) + '\n\n' + spools.chip_table(shown, status.fade))
 
 
 def _check_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
@@ -133,12 +143,15 @@ def _delete_from_spool(console: SpoolConsole, chips: ChipFilter, options: Namesp
 
 def _export_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> None:
     """Write chips and their JSON to a folder, and leave them in the spool."""
-    _export(console.files(console.select(chips)), options)
+    fade = console.status().fade
+    _export(console.files(console.select(chips)), options, fade)
 
 
-def _export(chips: Iterable[tuple[StoredChip, bytes]], options: Namespace) -> None:
+def _export(
+    chips: Iterable[tuple[StoredChip, bytes]], options: Namespace, fade: float | None = None
+) -> None:
     """Write chips to a folder, and say how many."""
-    print(f'{spools.export(chips, options.output or _EXPORTED)} chips exported')
+    print(f'{spools.export(chips, options.output or _EXPORTED, fade)} chips exported')
 
 
 def _forget_outbox(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> None:

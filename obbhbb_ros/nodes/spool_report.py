@@ -53,8 +53,8 @@ class SpoolReport:
         evicted = total - before if total >= before else total
         if not evicted:
             return
-        least = status.least_value
-        rest = 'no chip waits' if least is None else f'the least value that waits is {least:.3g}'
+        least = status.least_rank
+        rest = 'no chip waits' if least is None else f'the lowest rank that waits is {least:.3g}'
         self._reporter.warn(
             'spool full',
             f'the spool is full: evicted {evicted} chips since the last report, {total} in all; '

@@ -19,6 +19,7 @@ from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.settings.parameters import ParameterTable
 from obbhbb_ros.settings.parameters import rows_of
 from obbhbb_ros.settings.parameters import settings_of
+from obbhbb_ros.spool.ranking import FADE
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class ChipSettings:
     pairing: PairLimits
     spool_path: str
     spool_max_bytes: float
+    spool_fade: float
 
 
 def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
@@ -40,6 +42,7 @@ def _chip_settings(values: Mapping[str, Any]) -> ChipSettings:
         pairing=settings_of(PairLimits, values, 'cache.'),
         spool_path=folder_of(values, 'spool.path'),
         spool_max_bytes=values['spool.max_bytes'],
+        spool_fade=values['spool.fade'],
     )
 
 
@@ -59,9 +62,16 @@ CHIP_EXTRACTOR = ParameterTable(
         Parameter(
             'spool.max_bytes',
             1e9,
-            'Maximum size of the spool, bytes; the least valuable chips are evicted first. '
+            'Maximum size of the spool, bytes; the chips of the lowest rank are evicted first. '
             '0: unlimited.',
             Range(0.0, MAX_BYTES),
+        ),
+        Parameter(
+            'spool.fade',
+            FADE,
+            'What a view of a ship counts for each better view of it that waits or was released: '
+            'the factor on its value. 1: as much as the first.',
+            Range(0.0, 1.0),
         ),
     ),
     _chip_settings,

@@ -90,7 +90,7 @@ DOWNLINK = ParameterTable(
         Parameter(
             'outbox.levels',
             [0.0],
-            'Value thresholds of the priority folders. Folder 0 takes chips at or above the '
+            'Thresholds of rank of the priority folders. Folder 0 takes chips at or above the '
             'highest threshold, folder 1 those at or above the next, and so on.',
         ),
         Parameter(

@@ -9,12 +9,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from obbhbb_ros.spool.books import LAST_IN_ORDER
 from obbhbb_ros.spool.books import Books
 from obbhbb_ros.spool.books import Status
 from obbhbb_ros.spool.books import number
 from obbhbb_ros.spool.catalogue import Catalogue
-from obbhbb_ros.spool.chip_rows import ChipState
+from obbhbb_ros.spool.order import last_in_order
 from obbhbb_ros.spool.schema import SCHEMA
 
 
@@ -45,7 +44,7 @@ class SpoolAccess:
         """Read the books."""
         with self._catalogue.transaction() as rows:
             books = Books.read(rows)
-            last = rows.execute(LAST_IN_ORDER, (ChipState.WAITING,)).fetchone()
+            last = last_in_order(rows, books.fade)
             waiting, claimed, released = books.held
             return Status(
                 waiting=waiting[0] + claimed[0],
@@ -54,7 +53,9 @@ class SpoolAccess:
                 in_work=books.in_work(),
                 file_bytes=number(rows, 'PRAGMA page_count') * number(rows, 'PRAGMA page_size'),
                 set_aside=self._catalogue.set_aside,
-                least_value=last[1] if last else None,
+                least_rank=last[1] if last else None,
+                fade=books.fade,
+                objects_waiting=books.objects,
                 counts=dict(books.counts),
             )
 

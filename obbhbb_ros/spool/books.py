@@ -27,18 +27,10 @@ from dataclasses import dataclass
 from dataclasses import field
 from typing import Any
 
-from obbhbb_ros.spool.chip_rows import ChipState
-from obbhbb_ros.spool.chip_rows import number_of
+from obbhbb_ros.spool.ranking import FADE
 from obbhbb_ros.spool.seals import is_sealed
 from obbhbb_ros.spool.seals import sealed
 
-# Chips to evict, and free pages to give back to the disk, in one transaction; a lowered limit is
-# reached in several.
-_MAX_EVICTED = _MAX_PAGES_GIVEN_BACK = 1000
-# The file may be larger than its limit by this factor.
-_SLACK = 1.1
-LAST_IN_ORDER = 'SELECT k, value FROM chips WHERE state = ?1 ORDER BY k DESC, value LIMIT 1'
-"""Query for what a full spool evicts first, of a state."""
 # Tables, and so pages, of their own.
 _COPIES = ('books', 'books_copy')
 
@@ -60,6 +52,12 @@ class Books:
         The last number of a chip.
     outbox : str
         Token of the outbox that chips are released into; empty before the first.
+    fade : float
+        `spool.fade`, for writers and releaser alike.
+    objects : int
+        Number of objects of which a chip waits or is claimed.
+    turn : int
+        Number of views of objects that were released.
     """
 
     counts: Counter[str] = field(default_factory=Counter)
@@ -67,6 +65,9 @@ class Books:
     frames: dict[str, list[int]] = field(default_factory=dict)
     last_seq: int = 0
     outbox: str = ''
+    fade: float = FADE
+    objects: int = 0
+    turn: int = 0
 
     def count(self, name: str, number: int) -> None:
         """Add to a count."""
@@ -167,11 +168,15 @@ class Status:
         Size of the catalogue in use.
     set_aside : int
         Damaged catalogues beside it.
-    least_value : float or None
-        Least value of the chips that wait, None if there are none; a full spool evicts these first.
+    least_rank : float or None
+        Least rank of the chips that wait, None if there are none; a full spool evicts these first.
+    fade : float
+        The fade in force.
+    objects_waiting : int
+        Number of known ships that the chips in the spool show.
     counts : mapping of str to int
-        `planned`, `released`, `delivered`, `delivered_bytes`, and `evicted.<reason>`,
-        `refused.<reason>`.
+        `planned`, `released`, `delivered`, `delivered_bytes`, `objects_released` (known ships of
+        which a view was released), and `evicted.<reason>`, `refused.<reason>`.
     """
 
     waiting: int
@@ -180,7 +185,9 @@ class Status:
     in_work: int
     file_bytes: int
     set_aside: int
-    least_value: float | None
+    least_rank: float | None
+    fade: float
+    objects_waiting: int
     counts: Mapping[str, int]
 
     def total(self, kind: str) -> int:
@@ -198,51 +205,3 @@ class Status:
 def number(rows: sqlite3.Cursor, query: str, *values: object) -> int:
     """Read one number."""
     return int(rows.execute(query, values).fetchone()[0])
-
-
-def change_chips(rows: sqlite3.Cursor, change: str, ids: Iterable[str], state: int) -> list[int]:
-    """
-    Apply a statement to the chips of some ids, if they are in a state.
-
-    Returns the bytes of the files of those that were changed.
-    """
-    sizes = []
-    for chip_id in ids:
-        rows.execute(
-            f'{change} WHERE seq = ? AND id = ? AND state = ? RETURNING bytes',
-            (number_of(chip_id), chip_id, state),
-        )
-        sizes += [size for (size,) in rows.fetchall()]
-    return sizes
-
-
-def evict(rows: sqlite3.Cursor, books: Books, max_bytes: float) -> bool:
-    """
-    Delete the least valuable chips, the oldest of equals first, to make room for the rest.
-
-    Returns False if there is still no room when all waiting chips are gone.
-    """
-    max_pages, is_left = max_bytes / number(rows, 'PRAGMA page_size'), True
-    sizes: list[int] = []
-    while is_left and len(sizes) < _MAX_EVICTED and _used_pages(rows) > max_pages:
-        # Two queries, both answered by the one index.
-        rows.execute(
-            'DELETE FROM chips WHERE seq = (SELECT seq FROM chips WHERE state = ?1 AND '
-            f'(k, value) = ({LAST_IN_ORDER}) ORDER BY seq LIMIT 1) RETURNING bytes',
-            (ChipState.WAITING,),
-        )
-        evicted = [size for (size,) in rows.fetchall()]
-        is_left = bool(evicted)
-        sizes += evicted
-    books.count('evicted.max_bytes', books.take(ChipState.WAITING, sizes))
-    # Free pages are used again; only those far beyond a lowered limit go back to the disk.
-    excess = number(rows, 'PRAGMA page_count') - int(_SLACK * max_pages)
-    for _ in range(min(excess, number(rows, 'PRAGMA freelist_count'), _MAX_PAGES_GIVEN_BACK)):
-        # One by one: Python takes one step of a statement that returns no rows.
-        rows.execute('PRAGMA incremental_vacuum(1)')
-    return is_left
-
-
-def _used_pages(rows: sqlite3.Cursor) -> int:
-    """Count the pages of a catalogue that are not free."""
-    return number(rows, 'PRAGMA page_count') - number(rows, 'PRAGMA freelist_count')

@@ -407,7 +407,8 @@ def _identity(path: str) -> tuple[int, int] | None:
 def _is_damage(error: Exception) -> bool:
     """Return whether an error means a damaged file, rather than a disk or another process."""
     if isinstance(error, sqlite3.OperationalError):
-        return str(error).startswith(('no such', 'unsupported file format'))
+        text = str(error)
+        return text.startswith(('no such', 'unsupported file format')) or 'no column named' in text
     # Damaged names make messages of SQLite that Python cannot read.
     return isinstance(error, sqlite3.DatabaseError | UnicodeDecodeError) and not isinstance(
         error, sqlite3.ProgrammingError | sqlite3.NotSupportedError

@@ -7,6 +7,8 @@ import hashlib
 import json
 import math
 import re
+import sqlite3
+from collections.abc import Iterable
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,6 +16,9 @@ from typing import Any
 from typing import NamedTuple
 
 from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.spool.ranking import key_of
+from obbhbb_ros.spool.ranking import rank_of
+from obbhbb_ros.spool.ranking import worth_of
 from obbhbb_ros.spool.seals import digest_of
 from obbhbb_ros.wire.stamp import Stamp
 
@@ -47,6 +52,8 @@ class NewChip:
         `sha256`.
     data : bytes
         The file.
+    object_id : str
+        Which ship it shows, by an id that no other has; empty if that is not known.
 
     Raises
     ------
@@ -59,23 +66,25 @@ class NewChip:
     stamp: Stamp
     facts: Mapping[str, Any]
     data: bytes
+    object_id: str = ''
 
     def __post_init__(self) -> None:
         """Check the value."""
         if not math.isfinite(self.value):
             raise ValueError(f'value must be finite, not {self.value}')
 
-    def row(self, seq: int, tag: str) -> tuple[Any, ...]:
-        """Lay out the chip as a waiting row: the fields of `StoredChip`, and the file."""
+    def stored(self, seq: int, tag: str) -> StoredChip:
+        """Describe the chip as it waits under a number in the catalogue of a tag."""
         seconds, nanoseconds = self.stamp
         facts = {
             'stamp': {'sec': seconds, 'nanosec': nanoseconds},
             'class_id': self.class_id,
+            'object': self.object_id or None,
             **self.facts,
             'bytes': len(self.data),
             'sha256': hashlib.sha256(self.data).hexdigest(),
         }
-        chip = StoredChip(
+        return StoredChip(
             seq,
             f'{seconds}_{nanoseconds:09d}_{tag}_{seq}',
             ChipState.WAITING,
@@ -83,12 +92,34 @@ class NewChip:
             self.class_id,
             len(self.data),
             json.dumps(facts, ensure_ascii=False),
-        )
-        return (*chip.with_digest(), self.data)
+            object=key_of(self.object_id) if self.object_id else None,
+            worth=_worth(self.value, self.facts),
+        ).with_digest()
 
 
 class StoredChip(NamedTuple):
-    """A chip of the catalogue; `facts` is JSON without `id` and `value`."""
+    """
+    A chip of the catalogue.
+
+    Attributes
+    ----------
+    seq, id : int, str
+        Number of its row, and id.
+    state : int
+        A `ChipState`.
+    value, class_id, bytes : float, str, int
+        Value and class, and size of the file.
+    facts : str
+        The rest of its JSON.
+    digest : str
+        Digest of all of it but `state` and `k`.
+    object : int or None
+        Key of the ship that it shows, if that is known.
+    worth, k : float, int
+        What its rank is computed from, see `obbhbb_ros.spool.ranking`.
+    view : int or None
+        Which view of its object it is: one more than were released when it was claimed.
+    """
 
     seq: int
     id: str
@@ -99,6 +130,15 @@ class StoredChip(NamedTuple):
     facts: str
     digest: str = ''
     object: int | None = None
+    worth: float = 0.0
+    k: int = 0
+    view: int | None = None
+
+    @classmethod
+    def of_version_1(cls, *fields: Any) -> StoredChip:
+        """Make a chip of the columns of version 1; TypeError if one of them is damaged."""
+        chip = cls(*fields)
+        return chip._replace(worth=chip.value).with_digest()
 
     def with_digest(self) -> StoredChip:
         """Return the chip with the digest of its description."""
@@ -111,27 +151,49 @@ class StoredChip(NamedTuple):
             return self.digest == self._digest()
         return False
 
-    def describe(self) -> dict[str, Any]:
+    def revalued(self, value: float) -> StoredChip:
+        """Return the chip with another value; ValueError if the facts are damaged."""
+        worth = _worth(value, json.loads(self.facts))
+        return self._replace(value=value, worth=worth).with_digest()
+
+    def rank(self, fade: float) -> float:
+        """Return the rank of the chip."""
+        return rank_of(self.worth, self.k, fade)
+
+    def describe(self, fade: float | None) -> dict[str, Any]:
         """
         Return everything that the JSON file of the chip says.
+
+        Parameters
+        ----------
+        fade : float or None
+            The fade in force; None if it is not known, and then the rank is not.
 
         Raises
         ------
         ValueError, RecursionError
             If the facts are damaged.
         """
-        return {'id': self.id, 'value': self.value, **json.loads(self.facts)}
+        rank = None if fade is None else self.rank(fade)
+        facts = json.loads(self.facts)
+        return {'id': self.id, 'value': self.value, 'rank': rank, 'view': self.view, **facts}
 
     def _digest(self) -> str:
         """Compute the digest of all that says what the chip is."""
         # SQLite does not store the sign of zero.
-        numbers = f'{self.value + 0.0!r} {self.bytes} {self.object}'
+        numbers = (
+            f'{self.value + 0.0!r} {self.worth + 0.0!r} {self.bytes} {self.object} {self.view}'
+        )
         texts = '\0'.join((self.id, numbers, self.class_id, self.facts))
         return digest_of(texts.encode(errors='surrogatepass'))
 
 
 COLUMNS = ', '.join(StoredChip._fields)
 """The columns of a `StoredChip`, in their order."""
+COLUMNS_1 = StoredChip._fields[:7]
+"""Those of them that catalogues of version 1 have."""
+INSERT = f'INSERT INTO chips ({COLUMNS}, data) VALUES ({"?, " * len(StoredChip._fields)}?)'
+"""A statement that stores a `StoredChip` and its file."""
 
 
 def number_of(chip_id: str) -> int:
@@ -141,14 +203,31 @@ def number_of(chip_id: str) -> int:
     return int(match[1]) if match else 0
 
 
-def describe_intact(chip: StoredChip, data: bytes) -> dict[str, Any] | None:
-    """Describe a chip; None if its description or its file, `data`, is damaged."""
+def chips_of(rows: sqlite3.Cursor, ids: Iterable[str], state: int) -> list[StoredChip]:
+    """Read the chips of some ids, as far as they are in a state."""
+    chips = []
+    for chip_id in ids:
+        rows.execute(
+            f'SELECT {COLUMNS} FROM chips WHERE seq = ? AND id = ? AND state = ?',
+            (number_of(chip_id), chip_id, state),
+        )
+        chips += [StoredChip(*fields) for fields in rows.fetchall()]
+    return chips
+
+
+def describe_intact(chip: StoredChip, data: bytes, fade: float | None) -> dict[str, Any] | None:
+    """Describe a chip by the fade; None if its description or its file, `data`, is damaged."""
     if not chip.is_intact():
         return None
     with suppress(ValueError, KeyError, TypeError, RecursionError):
-        description = chip.describe()
+        description = chip.describe(fade)
         is_whole = description['sha256'] == hashlib.sha256(data).hexdigest()
         # Id and codec make the names of its files.
         if is_whole and _ID.fullmatch(chip.id) and description['codec'] in CODECS:
             return description
     return None
+
+
+def _worth(value: float, facts: Mapping[str, Any]) -> float:
+    """Return the worth of a chip of some facts."""
+    return worth_of(value, facts.get('obb'), facts.get('image_size', ()))

@@ -9,8 +9,11 @@ import sys
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
+from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
+from itertools import islice
 from typing import Any
 
 from obbhbb_ros.spool.access import SpoolAccess
@@ -19,9 +22,14 @@ from obbhbb_ros.spool.chip_rows import COLUMNS
 from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.chip_rows import number_of
+from obbhbb_ros.spool.order import in_order
+from obbhbb_ros.spool.ranking import key_of
+from obbhbb_ros.spool.views import ObjectViews
 
 # Changes some chips in a transaction, and returns how many.
 _Change = Callable[[sqlite3.Cursor, Books, Sequence[StoredChip]], int]
+# Conditions on the state, in the order in which chips are listed; damage makes others.
+_STATES = ('state < 0', *(f'state = {state}' for state in range(3)), 'state > 2')
 # Chips to change in one transaction, so that writers do not wait long.
 _PIECE = 1000
 
@@ -37,6 +45,8 @@ class ChipFilter:
         Classes and ids of chips (empty: any).
     min_value, max_value : float
         Bounds of the value, both included.
+    objects : sequence of str
+        Ids of the ships that they show (empty: any).
 
     Examples
     --------
@@ -50,6 +60,7 @@ class ChipFilter:
     ids: Sequence[str] = ()
     min_value: float = -math.inf
     max_value: float = math.inf
+    objects: Sequence[str] = ()
 
     def matches(self, chip: StoredChip) -> bool:
         """Return whether a chip is meant."""
@@ -57,6 +68,7 @@ class ChipFilter:
             self.min_value <= chip.value <= self.max_value
             and (not self.class_ids or chip.class_id in self.class_ids)
             and (not self.ids or chip.id in self.ids)
+            and (not self.objects or chip.object in [*map(key_of, self.objects)])
         )
 
     def sql(self) -> tuple[str, list[Any]]:
@@ -68,8 +80,13 @@ class ChipFilter:
             clauses.append('value BETWEEN ? AND ?')
             values += (self.min_value, self.max_value)
         # The number of a chip finds it at once.
-        numbers = [number_of(chip_id) for chip_id in self.ids]
-        for column, choices in (('class_id', self.class_ids), ('id', self.ids), ('seq', numbers)):
+        columns: Mapping[str, Sequence[object]] = {
+            'class_id': self.class_ids,
+            'id': self.ids,
+            'seq': [number_of(chip_id) for chip_id in self.ids],
+            'object': [key_of(object_id) for object_id in self.objects],
+        }
+        for column, choices in columns.items():
             if choices:
                 clauses.append(f'{column} IN ({", ".join("?" * len(choices))})')
                 values += choices
@@ -86,14 +103,11 @@ class SpoolConsole(SpoolAccess):
         """List chips in the order of their release, by state; a negative limit means none."""
         where, values = chips.sql()
         with self._catalogue.transaction() as rows:
-            return [
-                StoredChip(*row)
-                for row in rows.execute(
-                    f'SELECT {COLUMNS} FROM chips WHERE {where} ORDER BY state, k, value DESC, seq '
-                    'LIMIT ?',
-                    (*values, limit),
-                )
-            ]
+            fade = Books.read(rows).fade
+            listed = chain.from_iterable(
+                in_order(rows, fade, state, where, values) for state in _STATES
+            )
+            return list(islice(listed, None if limit < 0 else limit))
 
     def files(self, chips: Iterable[StoredChip]) -> Iterator[tuple[StoredChip, bytes]]:
         """Read the files of chips, without those that are in the outbox already."""
@@ -108,10 +122,7 @@ class SpoolConsole(SpoolAccess):
 
         def change(rows: sqlite3.Cursor, books: Books, old: Sequence[StoredChip]) -> int:
             revalued = [_revalued(chip, factor, addend) for chip in old if chip.is_intact()]
-            rows.executemany(
-                'UPDATE chips SET value = ?, digest = ? WHERE seq = ?',
-                [(chip.value, chip.digest, chip.seq) for chip in revalued],
-            )
+            ObjectViews(rows, books).change(revalued)
             return len(revalued)
 
         return self._change_waiting(chips, change)
@@ -121,6 +132,7 @@ class SpoolConsole(SpoolAccess):
 
         def change(rows: sqlite3.Cursor, books: Books, old: Sequence[StoredChip]) -> int:
             rows.executemany('DELETE FROM chips WHERE seq = ?', [(chip.seq,) for chip in old])
+            ObjectViews(rows, books).remove(chip.object for chip in old)
             deleted = books.take(ChipState.WAITING, [chip.bytes for chip in old])
             books.count('evicted.deleted', deleted)
             return deleted
@@ -130,8 +142,12 @@ class SpoolConsole(SpoolAccess):
     def forget_outbox(self) -> int:
         """Count the chips in the outbox as evicted, and accept any outbox; return how many."""
         with self._booking() as (rows, books):
-            rows.execute('DELETE FROM chips WHERE state = ? RETURNING bytes', (ChipState.RELEASED,))
-            lost = books.take(ChipState.RELEASED, [size for (size,) in rows.fetchall()])
+            rows.execute(
+                'DELETE FROM chips WHERE state = ? RETURNING bytes, object', (ChipState.RELEASED,)
+            )
+            chips = rows.fetchall()
+            lost = books.take(ChipState.RELEASED, [size for size, _ in chips])
+            ObjectViews(rows, books).take_back(key for _, key in chips)
             books.count('evicted.outbox_lost', lost)
             books.outbox = ''
         return lost
@@ -164,4 +180,4 @@ def _revalued(chip: StoredChip, factor: float, addend: float) -> StoredChip:
     # JSON has no infinite numbers.
     limit = sys.float_info.max
     value = max(min(chip.value * factor + addend, limit), -limit)
-    return chip._replace(value=value).with_digest()
+    return chip.revalued(value)

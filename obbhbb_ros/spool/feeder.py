@@ -64,7 +64,7 @@ class ReleaseSettings:
     budget : LinkSettings
         Rate, burst and overhead of the link.
     levels : tuple of float
-        Value thresholds of the priority folders.
+        Thresholds of rank of the priority folders.
     removal : bool
         Whether a chip counts as delivered when the bus has removed it from the outbox; if not,
         when it is in the outbox.
@@ -97,7 +97,7 @@ class ReleaseBatch(NamedTuple):
 
 class OutboxFeeder:
     """
-    Moves chips from a spool to an outbox, the most valuable first, within the budget.
+    Moves chips from a spool to an outbox, by their rank, within the budget.
 
     One thread calls `step` again and again; any other may call `steer`.
 
@@ -290,7 +290,7 @@ class OutboxFeeder:
         self._batch = ReleaseBatch(set(), {chip.id for chip, _ in claim.chips} - self._unsure)
         try:
             for chip, data in claim.chips:
-                if not self._put(chip, data):
+                if not self._put(chip, data, claim.fade):
                     break
         finally:
             self._finish()
@@ -298,11 +298,11 @@ class OutboxFeeder:
         self._record()
         return 0.0
 
-    def _put(self, chip: StoredChip, data: bytes) -> bool:
+    def _put(self, chip: StoredChip, data: bytes, fade: float) -> bool:
         """Add a claimed chip to the outbox; False if that is not allowed any more."""
         self.signs += 1
         settings = self._refresh()
-        description = describe_intact(chip, data)
+        description = describe_intact(chip, data, fade)
         if description is None:
             self._spool.evict_damaged(chip)
             self._batch.left.discard(chip.id)
@@ -313,7 +313,7 @@ class OutboxFeeder:
         if camera is not None and not self._put_camera(camera, settings):
             return False
         suffix = CODECS[description['codec']].suffix
-        level = level_of(chip.value, settings.levels)
+        level = level_of(chip.rank(fade), settings.levels)
         if not self._add(chip.id, suffix, data, described, level, settings):
             return False
         self._batch.left.discard(chip.id)

@@ -275,13 +275,13 @@ def json_bytes(description: dict[str, Any]) -> bytes:
     return sealed(json.dumps(description, ensure_ascii=False).encode(errors='replace'))
 
 
-def level_of(value: float, thresholds: Sequence[float]) -> int:
+def level_of(rank: float, thresholds: Sequence[float]) -> int:
     """
-    Return the level of priority of a value: how many thresholds are above it.
+    Return the level of priority of a rank: how many thresholds are above it.
 
     Examples
     --------
-    >>> [level_of(value, (0.5, 0.8)) for value in (0.9, 0.8, 0.6, 0.1)]
+    >>> [level_of(rank, (0.5, 0.8)) for rank in (0.9, 0.8, 0.6, 0.1)]
     [0, 0, 1, 2]
     """
-    return sum(value < threshold for threshold in thresholds)
+    return sum(rank < threshold for threshold in thresholds)

@@ -6,20 +6,23 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Collection
 from enum import Enum
+from itertools import islice
 from typing import NamedTuple
 
 from obbhbb_ros.spool.access import SpoolAccess
 from obbhbb_ros.spool.books import Books
-from obbhbb_ros.spool.books import change_chips
 from obbhbb_ros.spool.books import number
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import COLUMNS
 from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
+from obbhbb_ros.spool.chip_rows import chips_of
 from obbhbb_ros.spool.chip_rows import number_of
+from obbhbb_ros.spool.order import in_order
+from obbhbb_ros.spool.views import ObjectViews
 
-# Maximum bytes of id, value and digest in a JSON file.
-_JSON_ROOM = 128
+# Maximum bytes of id, value, rank, view and digest in a JSON file.
+_JSON_ROOM = 192
 # Bytes that a chip costs on the link: its file and its JSON. A damaged chip costs nothing: it is
 # claimed, and evicted.
 _COST = f'ifnull(bytes + length(CAST(facts AS BLOB)) + {_JSON_ROOM}, 0)'
@@ -40,7 +43,9 @@ class Claim(NamedTuple):
     Attributes
     ----------
     chips : list of (StoredChip, bytes)
-        Chips and their files, the most valuable first, the oldest of equals first.
+        Chips and their files, by their rank, the oldest of equals first.
+    fade : float
+        The fade by which they have their rank.
     stall : Stall or None
         Why there are no more; None if as many as asked for, or all, were claimed.
     missing : int
@@ -48,6 +53,7 @@ class Claim(NamedTuple):
     """
 
     chips: list[tuple[StoredChip, bytes]]
+    fade: float
     stall: Stall | None = None
     missing: int = 0
 
@@ -85,28 +91,38 @@ class SpoolReleaser(SpoolAccess):
         """
         with self._booking() as (rows, books):
             states = [ChipState.CLAIMED, ChipState.WAITING] if is_resumed else [ChipState.WAITING]
-            claim = _next_chips(rows, states, count, room, max_cost, overhead)
-            for chip, _ in claim.chips:
+            claim = _next_chips(rows, books.fade, states, count, room, max_cost, overhead)
+            chips = ObjectViews(rows, books).counted([chip for chip, _ in claim.chips])
+            for chip in chips:
                 books.take(chip.state, [chip.bytes])
                 books.put(ChipState.CLAIMED, [chip.bytes])
             rows.executemany(
-                'UPDATE chips SET state = ? WHERE seq = ?',
-                [(ChipState.CLAIMED, chip.seq) for chip, _ in claim.chips],
+                'UPDATE chips SET state = ?, view = ?, digest = ? WHERE seq = ?',
+                [(ChipState.CLAIMED, chip.view, chip.digest, chip.seq) for chip in chips],
             )
-            if claim.chips or claim.stall:
-                return claim
+            if claim.stall or chips:
+                files = [data for _, data in claim.chips]
+                return claim._replace(chips=list(zip(chips, files, strict=True)))
             waiting = sum(books.held[state][0] for state in states)
             in_states = f'FROM chips WHERE state IN ({", ".join("?" * len(states))})'
             if waiting and not number(rows, f'SELECT EXISTS (SELECT 1 {in_states})', *states):
                 raise sqlite3.DatabaseError('chips that wait are not in its index')
-            return Claim([], Stall.ALL_TOO_LARGE if waiting else Stall.NOTHING_WAITS)
+            return claim._replace(stall=Stall.ALL_TOO_LARGE if waiting else Stall.NOTHING_WAITS)
 
     def unclaim(self, ids: Collection[str]) -> None:
         """Put claimed chips back into their place."""
         if ids:
             with self._booking() as (rows, books):
-                change = f'UPDATE chips SET state = {ChipState.WAITING}'
-                sizes = change_chips(rows, change, ids, ChipState.CLAIMED)
+                chips = chips_of(rows, ids, ChipState.CLAIMED)
+                back = [
+                    chip._replace(view=None).with_digest() if chip.is_intact() else chip
+                    for chip in chips
+                ]
+                rows.executemany(
+                    'UPDATE chips SET state = ?, view = ?, digest = ? WHERE seq = ?',
+                    [(ChipState.WAITING, chip.view, chip.digest, chip.seq) for chip in back],
+                )
+                sizes = [chip.bytes for chip in chips]
                 books.take(ChipState.CLAIMED, sizes)
                 books.put(ChipState.WAITING, sizes)
 
@@ -114,9 +130,14 @@ class SpoolReleaser(SpoolAccess):
         """Write down that claimed chips are in the outbox, and whether that delivers them."""
         if ids:
             with self._booking() as (rows, books):
-                # The outbox has the file now.
-                change = f'UPDATE chips SET state = {ChipState.RELEASED}, data = NULL'
-                sizes = change_chips(rows, change, ids, ChipState.CLAIMED)
+                chips = chips_of(rows, ids, ChipState.CLAIMED)
+                rows.executemany(
+                    # The outbox has the file now.
+                    'UPDATE chips SET state = ?, data = NULL WHERE seq = ?',
+                    [(ChipState.RELEASED, chip.seq) for chip in chips],
+                )
+                ObjectViews(rows, books).release(chip.object for chip in chips)
+                sizes = [chip.bytes for chip in chips]
                 books.take(ChipState.CLAIMED, sizes)
                 books.count('released', books.put(ChipState.RELEASED, sizes))
                 if is_delivered:
@@ -133,11 +154,12 @@ class SpoolReleaser(SpoolAccess):
         with self._booking() as (rows, books):
             # Its id may be damaged as well.
             rows.execute(
-                'DELETE FROM chips WHERE seq = ? AND id IS ? AND state = ? RETURNING bytes',
+                'DELETE FROM chips WHERE seq = ? AND id IS ? AND state = ? RETURNING bytes, object',
                 (chip.seq, chip.id, ChipState.CLAIMED),
             )
-            sizes = [size for (size,) in rows.fetchall()]
-            books.count('evicted.damaged', books.take(ChipState.CLAIMED, sizes))
+            for size, key in rows.fetchall():
+                books.count('evicted.damaged', books.take(ChipState.CLAIMED, [size]))
+                ObjectViews(rows, books).remove([key])
 
     def ids(self, state: int) -> set[str]:
         """Return the ids of the chips in a state."""
@@ -190,19 +212,25 @@ def _deliver(rows: sqlite3.Cursor, books: Books, ids: Collection[str]) -> None:
 
 
 def _next_chips(
-    rows: sqlite3.Cursor, states: list[int], count: int, room: float, max_cost: float, overhead: int
+    rows: sqlite3.Cursor,
+    fade: float,
+    states: list[int],
+    count: int,
+    room: float,
+    max_cost: float,
+    overhead: int,
 ) -> Claim:
     """Read the next chips that have room, state by state; the first that has none ends it."""
     chips: list[tuple[StoredChip, bytes]] = []
     for state in states:
-        for cost, data, *fields in rows.execute(
-            f'SELECT {_COST} + ? AS cost, data, {COLUMNS} FROM chips '
-            'WHERE state = ? AND cost <= ? ORDER BY k, value DESC, seq LIMIT ?',
-            (overhead, state, max_cost, count - len(chips)),
-        ):
-            if cost > room:
-                return Claim(chips, Stall.NO_ROOM, cost)
-            room -= cost
+        in_state = in_order(rows, fade, f'state = {state}', f'{_COST} <= ?', (max_cost - overhead,))
+        for chip in islice(in_state, count - len(chips)):
+            ((cost, data),) = rows.execute(
+                f'SELECT {_COST}, data FROM chips WHERE seq = ?', (chip.seq,)
+            )
+            if cost + overhead > room:
+                return Claim(chips, fade, Stall.NO_ROOM, cost + overhead)
+            room -= cost + overhead
             # That of the row may be damaged; the index found it by this one.
-            chips.append((StoredChip(*fields)._replace(state=state), data))
-    return Claim(chips)
+            chips.append((chip._replace(state=state), data))
+    return Claim(chips, fade)

@@ -13,12 +13,13 @@ from obbhbb_ros.damaged_sqlite import Gap
 from obbhbb_ros.damaged_sqlite import lossy_text
 from obbhbb_ros.damaged_sqlite import rows_around_damage
 from obbhbb_ros.spool.catalogue import SpoolError
+from obbhbb_ros.spool.chip_rows import COLUMNS_1
 from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.chip_rows import describe_intact
 
 _COLUMNS = (*StoredChip._fields, 'data')
 # Catalogues of version 1 have no digests.
-_COLUMNS_1 = (*StoredChip._fields[:-2], 'data')
+_COLUMNS_1 = (*COLUMNS_1, 'data')
 
 
 def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
@@ -49,8 +50,8 @@ def intact_chips(path: Path) -> Iterator[tuple[StoredChip, bytes]]:
             chip = StoredChip(*fields)
             if columns is _COLUMNS_1:
                 with suppress(TypeError):
-                    chip = chip.with_digest()
-            if describe_intact(chip, data):
+                    chip = StoredChip.of_version_1(*fields)
+            if describe_intact(chip, data, fade=None):
                 yield chip, data
     if gaps and is_empty:
         raise SpoolError(f'{path}: no chip can be read: {gaps[0].error}')

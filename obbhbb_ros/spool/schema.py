@@ -13,12 +13,13 @@ import sqlite3
 from obbhbb_ros.spool.books import Books
 from obbhbb_ros.spool.books import number
 from obbhbb_ros.spool.catalogue import CatalogueSchema
-from obbhbb_ros.spool.chip_rows import COLUMNS
+from obbhbb_ros.spool.chip_rows import COLUMNS_1
+from obbhbb_ros.spool.chip_rows import INSERT
 from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
 
-# `data` comes last, so that SQLite reads the rest without it. `object`, `k`, `view` and `objects`
-# are for chips that show the same ship.
+# `data` comes last, so that SQLite reads the rest without it. `objects` remembers of which ships
+# views were released, and in which turn.
 _SCRIPT = f"""
 CREATE TABLE chips (
     seq INTEGER PRIMARY KEY,
@@ -30,12 +31,14 @@ CREATE TABLE chips (
     facts TEXT NOT NULL,
     digest TEXT NOT NULL,
     object INTEGER,
-    k INTEGER NOT NULL DEFAULT 0,
+    worth REAL NOT NULL,
+    k INTEGER NOT NULL,
     view INTEGER,
     data BLOB
 );
-CREATE INDEX chips_in_order ON chips (state, k, value DESC, seq);
-CREATE INDEX chips_by_object ON chips (object, value DESC, seq) WHERE object IS NOT NULL;
+CREATE INDEX chips_in_order ON chips (state, k, worth DESC, seq);
+CREATE INDEX chips_by_object ON chips (object, worth DESC, seq)
+    WHERE object IS NOT NULL AND state < 2;
 CREATE TABLE objects (
     object INTEGER PRIMARY KEY, released INTEGER NOT NULL, turn INTEGER NOT NULL
 );
@@ -92,14 +95,13 @@ def _greatest(rows: sqlite3.Cursor, column: str, table: str, condition: str = 'T
 
 def _move_chips(rows: sqlite3.Cursor, books: Books) -> int:
     """Move some chips from the old table to the new one; return how many there were."""
-    columns = COLUMNS.replace(', digest, object', '')
+    columns = ', '.join(COLUMNS_1)
     rows.execute(f'SELECT {columns}, data FROM old_chips ORDER BY seq LIMIT ?', (_PIECE,))
     old = rows.fetchall()
     moved = []
     for *fields, data in old:
-        chip = StoredChip(*fields)
         try:
-            chip = chip.with_digest()
+            chip = StoredChip.of_version_1(*fields)
         except TypeError:
             # Damage has turned a text into something else.
             books.count('evicted.damaged', 1)
@@ -107,9 +109,7 @@ def _move_chips(rows: sqlite3.Cursor, books: Books) -> int:
         chip = chip._replace(state=chip.state if chip.state in range(3) else ChipState.WAITING)
         books.put(chip.state, [chip.bytes])
         moved.append((*chip, data))
-    rows.executemany(
-        f'INSERT INTO chips ({COLUMNS}, data) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)', moved
-    )
+    rows.executemany(INSERT, moved)
     rows.executemany('DELETE FROM old_chips WHERE seq = ?', [(seq,) for seq, *_ in old])
     return len(old)
 

@@ -17,12 +17,13 @@ from typing import NamedTuple
 
 from obbhbb_ros.spool.access import SpoolAccess
 from obbhbb_ros.spool.books import Books
-from obbhbb_ros.spool.books import evict
 from obbhbb_ros.spool.catalogue import SpoolDamagedError
 from obbhbb_ros.spool.catalogue import SpoolError
-from obbhbb_ros.spool.chip_rows import COLUMNS
+from obbhbb_ros.spool.chip_rows import INSERT
 from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import NewChip
+from obbhbb_ros.spool.eviction import evict
+from obbhbb_ros.spool.views import ObjectViews
 
 
 class FrameTicket(NamedTuple):
@@ -86,6 +87,27 @@ class SpoolWriter(SpoolAccess):
         # What is still to be written down: frames to close, and what to add to the books.
         self._open_frames: list[FrameTicket] = []
         self._unbooked: Counter[str] = Counter()
+        # The fade to set, None if it is set.
+        self._fade: float | None = None
+        self._fade_due: float | None = None
+        self._on_fade: Callable[[float], object] = lambda before: None
+
+    def set_fade(self, fade: float, on_change: Callable[[float], object] | None = None) -> None:
+        """
+        Set by what repeated views of a ship count less, for all users of the spool.
+
+        The last one who sets it counts; it is written down with what comes next.
+
+        Parameters
+        ----------
+        fade : float
+            Factor for each better view, 0 to 1.
+        on_change : callable, optional
+            Called with the fade that was in force, if it was another.
+        """
+        self._fade = self._fade_due = fade
+        if on_change is not None:
+            self._on_fade = on_change
 
     def plan(self, chips: int) -> FrameTicket:
         """Write down that a frame with some chips is in work."""
@@ -144,7 +166,7 @@ class SpoolWriter(SpoolAccess):
 
     def catch_up(self) -> None:
         """Write down what could not be written down before, if there is anything."""
-        if self._open_frames or self._unbooked:
+        if self._open_frames or self._unbooked or self._fade_due is not None:
             with suppress(SpoolError), self._booking():
                 pass
 
@@ -161,9 +183,15 @@ class SpoolWriter(SpoolAccess):
                 self._close_frame(books, ticket)
             for name, count in self._unbooked.items():
                 books.count(name, count)
+            before = books.fade
+            if self._fade_due is not None:
+                books.fade = self._fade_due
             yield rows, books
         self._open_frames.clear()
         self._unbooked.clear()
+        self._fade_due = None
+        if before != books.fade:
+            self._on_fade(before)
 
     def _store(
         self,
@@ -178,11 +206,17 @@ class SpoolWriter(SpoolAccess):
             for reason, count in refused.items():
                 books.count(f'refused.{reason}', count)
             first = books.last_seq + 1
+            views = ObjectViews(rows, books)
+            stored = [chip.stored(first + i, self._catalogue.tag) for i, chip in enumerate(chips)]
             rows.executemany(
-                f'INSERT INTO chips ({COLUMNS}, data) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)',
-                [chip.row(first + i, self._catalogue.tag) for i, chip in enumerate(chips)],
+                INSERT,
+                [
+                    (*admitted, chip.data)
+                    for admitted, chip in zip(views.admit(stored), chips, strict=True)
+                ],
             )
             books.last_seq += books.put(ChipState.WAITING, [len(chip.data) for chip in chips])
+            views.forget(max_bytes)
             if max_bytes and not evict(rows, books, max_bytes):
                 self._on_trouble(
                     f'{self._folder} is larger than spool.max_bytes, {max_bytes:.0f}, and no chip '
@@ -199,6 +233,8 @@ class SpoolWriter(SpoolAccess):
 
     def _on_open(self, rows: sqlite3.Cursor) -> None:
         """Take the first free number of a writer, and refuse the frames of writers that ended."""
+        # It may be a new catalogue.
+        self._fade_due = self._fade
         books = Books.read(rows)
         last = max((writer for writer, _ in books.frames.values()), default=0)
         free = []

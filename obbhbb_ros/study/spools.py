@@ -66,29 +66,31 @@ def status_text(status: Status) -> str:
     return '\n'.join(lines)
 
 
-def chip_table(chips: Iterable[StoredChip]) -> str:
+def chip_table(chips: Iterable[StoredChip], fade: float) -> str:
     """Write chips as a table, in the order of their release."""
-    rows = [('id', 'class', 'value', 'kB', 'state')]
+    rows = [('id', 'class', 'value', 'rank', 'kB', 'state')]
     for chip in chips:
         if chip.is_intact():
-            value, size = f'{chip.value:.4g}', f'{chip.bytes / 1e3:.1f}'
-            rows.append((chip.id, printable(chip.class_id), value, size, _state(chip)))
+            numbers = f'{chip.value:.4g}', f'{chip.rank(fade):.4g}', f'{chip.bytes / 1e3:.1f}'
+            rows.append((chip.id, printable(chip.class_id), *numbers, _state(chip)))
         else:
-            rows.append((printable(str(chip.id)), 'damaged', '', '', _state(chip)))
-    return '\n'.join(aligned(rows, left=(0, 1, 4)))
+            rows.append((printable(str(chip.id)), 'damaged', '', '', '', _state(chip)))
+    return '\n'.join(aligned(rows, left=(0, 1, 5)))
 
 
 def as_json(status: Status, chips: Iterable[StoredChip]) -> Mapping[str, Any]:
     """Return books and chips for a JSON file."""
     books = {name: value for name, value in vars(status).items() if name != 'file_bytes'}
-    return books | {'chips': [{**_described(chip), 'state': _state(chip)} for chip in chips]}
+    return books | {
+        'chips': [{**_described(chip, status.fade), 'state': _state(chip)} for chip in chips]
+    }
 
 
-def _described(chip: StoredChip) -> Mapping[str, Any]:
+def _described(chip: StoredChip, fade: float) -> Mapping[str, Any]:
     """Describe a chip, as far as its description is not damaged."""
     with suppress(ValueError, RecursionError):
         if chip.is_intact():
-            return chip.describe()
+            return chip.describe(fade)
     return {'id': chip.id, 'value': chip.value, 'damaged': True}
 
 
@@ -102,7 +104,7 @@ def wrong_with(console: SpoolConsole) -> Iterator[str]:
     try:
         yield from console.integrity()
         for chip, data in console.files(track(console.select(), 'checking')):
-            if describe_intact(chip, data) is None:
+            if describe_intact(chip, data, fade=None) is None:
                 yield f'{chip.id}: its file or description is damaged'
     except SpoolDamagedError as error:
         note(str(error))
@@ -118,11 +120,13 @@ def wrong_with(console: SpoolConsole) -> Iterator[str]:
         )
 
 
-def export(chips: Iterable[tuple[StoredChip, bytes]], folder: Path) -> int:
+def export(
+    chips: Iterable[tuple[StoredChip, bytes]], folder: Path, fade: float | None = None
+) -> int:
     """Write chips with their JSON to a folder, as to an outbox; return how many."""
     outbox, count = Outbox(folder), 0
     for chip, data in chips:
-        description = describe_intact(chip, data)
+        description = describe_intact(chip, data, fade)
         if description is None:
             note(f'obbhbb: left out: {chip.id} is damaged')
             continue

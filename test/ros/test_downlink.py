@@ -591,7 +591,7 @@ def test_a_full_spool_that_evicts_is_a_warning_while_it_lasts(chain: Chain) -> N
     node = chain.downlink(contact='topic')
     chain.store([0.3] * 60)
     chain.chips.wait(lambda: chain.books()['spool.waiting'] == 61, 'chips in the spool')
-    assert chain.books()['spool.least_value'] == 0.01
+    assert chain.books()['spool.least_rank'] == 0.01
     node.wait(lambda: node.counts()['spool.waiting'] == 61, 'the books of the other node')
     chain.chips.set({'spool.max_bytes': 0.9 * chain.books()['spool.file_bytes']})
     chain.store([0.9] * 20)

@@ -70,9 +70,9 @@ def test_the_books_and_the_next_chips_are_shown(folder, capsys) -> None:
         'refused    2 (outside_image 2)',
     ]
     head, *rows = table.splitlines()
-    assert head.split() == ['id', 'class', 'value', 'kB', 'state']
-    assert [row.split()[1:4] for row in rows] == [
-        [class_id, value, '1.5']
+    assert head.split() == ['id', 'class', 'value', 'rank', 'kB', 'state']
+    assert [row.split()[1:5] for row in rows] == [
+        [class_id, value, value, '1.5']
         for class_id, value in (
             ('ship', '0.6'),
             ('tug', '0.5'),
@@ -83,7 +83,7 @@ def test_the_books_and_the_next_chips_are_shown(folder, capsys) -> None:
             ('ship', '0.8'),
         )
     ]
-    assert [row.split(maxsplit=4)[4] for row in rows] == (
+    assert [row.split(maxsplit=5)[5] for row in rows] == (
         ['waiting'] * 5 + ['being released', 'in outbox']
     )
 

@@ -20,7 +20,6 @@ from spooled import store
 from obbhbb_ros.spool.books import Books
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.catalogue import catalogue_files
-from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.chip_rows import describe_intact
 from obbhbb_ros.spool.console import ANY_CHIP
 from obbhbb_ros.spool.salvage import intact_chips
@@ -113,13 +112,13 @@ def test_every_flipped_bit_of_a_description_is_noticed(spool) -> None:
     store(spool.writer, [0.5])
     (chip,) = spool.console.select()
     data = new_chip(0.5).data
-    assert describe_intact(chip, data)
+    assert describe_intact(chip, data, None)
     for name in ('id', 'class_id', 'facts', 'digest'):
         for content in flipped(getattr(chip, name).encode()):
             damaged = chip._replace(**{name: content.decode(errors='replace')})
-            assert describe_intact(damaged, data) is None
+            assert describe_intact(damaged, data, None) is None
     for change in ({'value': 0.25}, {'value': 'text'}, {'bytes': 301}, {'facts': None}):
-        assert describe_intact(chip._replace(**change), data) is None
+        assert describe_intact(chip._replace(**change), data, None) is None
 
 
 def test_every_flipped_bit_of_a_sealed_json_is_noticed() -> None:
@@ -332,12 +331,11 @@ def version_1(folder, damage=''):
         for seq in range(1, 2010):
             state = 0 if seq <= 2000 else 1 if seq <= 2004 else 2
             chip = new_chip(seq / 3000)
-            *fields, data = chip.row(seq, 'abc123')
-            old = StoredChip(*fields)[:-2]
+            old = chip.stored(seq, 'abc123')[:7]
             if seq <= 2005:
                 rows.execute(
                     'INSERT INTO chips VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
-                    (*old[:2], state, *old[3:], None if state == 2 else data),
+                    (*old[:2], state, *old[3:], None if state == 2 else chip.data),
                 )
         rows.execute("UPDATE sqlite_sequence SET seq = 2009 WHERE name = 'chips'")
         rows.executescript(damage)
@@ -365,7 +363,7 @@ def test_a_catalogue_of_version_1_is_taken_over_with_all_that_waits(
     assert all(chip.is_intact() for chip in chips)
     whole = list(spool.console.files(chips))
     assert len(whole) == 2004
-    assert all(describe_intact(chip, data) for chip, data in whole)
+    assert all(describe_intact(chip, data, None) for chip, data in whole)
     # A number that was used is not used again.
     store(spool.writer, [0.99])
     best = spool.console.select()[0]

@@ -28,6 +28,7 @@ from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.feeder import FeederThread
 from obbhbb_ros.spool.feeder import ReleaseSettings
 from obbhbb_ros.spool.outbox import Outbox
+from obbhbb_ros.spool.ranking import FADE
 from obbhbb_ros.spool.releaser import SpoolReleaser
 from obbhbb_ros.spool.writer import SpoolWriter
 
@@ -102,7 +103,7 @@ def test_chips_are_released_with_their_description(ground) -> None:
     ground.writer.store(ground.writer.plan(1), [new_chip(0.9, class_id='Schlepper')], {})
     (chip,) = ground.console.select()
     ground.steps()
-    assert in_outbox(ground.folder / 'outbox') == {chip.id: chip.describe()}
+    assert in_outbox(ground.folder / 'outbox') == {chip.id: chip.describe(FADE)}
     status = ground.status()
     assert status.counts == {'planned': 1, 'released': 1, 'delivered': 1, 'delivered_bytes': 300}
     assert ground.feeder.stalled_by == ''

@@ -37,6 +37,7 @@ from obbhbb_ros.spool.console import ANY_CHIP
 from obbhbb_ros.spool.console import ChipFilter
 from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.outbox import json_bytes
+from obbhbb_ros.spool.ranking import FADE
 from obbhbb_ros.spool.releaser import Claim
 from obbhbb_ros.spool.releaser import SpoolReleaser
 from obbhbb_ros.spool.releaser import Stall
@@ -139,7 +140,7 @@ def test_a_spool_keeps_the_facts_of_a_chip(spool, tmp_path) -> None:
     given = new_chip(0.25, 123, (1764285402, 5), 'Frachter', obb=None, score=None)
     spool.writer.store(spool.writer.plan(1), [given], {})
     (chip,) = spool.console.select()
-    described = chip.describe()
+    described = chip.describe(FADE)
     tag = catalogue_files(tmp_path)[0].stem[-6:]
     assert described.pop('id') == chip.id == f'1764285402_000000005_{tag}_1'
     assert len(described.pop('sha256')) == 64
@@ -147,6 +148,9 @@ def test_a_spool_keeps_the_facts_of_a_chip(spool, tmp_path) -> None:
         'stamp': {'sec': 1764285402, 'nanosec': 5},
         'class_id': 'Frachter',
         'value': 0.25,
+        'rank': 0.25,
+        'object': None,
+        'view': None,
         'obb': None,
         'score': None,
         'bytes': 123,
@@ -158,7 +162,7 @@ def test_a_spool_keeps_the_facts_of_a_chip(spool, tmp_path) -> None:
 def test_any_text_is_kept(spool, text) -> None:
     spool.writer.store(spool.writer.plan(1), [new_chip(class_id=text, frame_id=text)], {})
     (chip,) = spool.console.select(ChipFilter(class_ids=[text]))
-    assert (chip.class_id, chip.describe()['frame_id']) == (text, text)
+    assert (chip.class_id, chip.describe(FADE)['frame_id']) == (text, text)
 
 
 @pytest.mark.parametrize('value', [float('nan'), ALL, -ALL])
@@ -193,16 +197,17 @@ def test_the_most_valuable_goes_first_then_the_oldest(values, most) -> None:
         order = []
         while chips := spool.releaser.claim(most, ALL, ALL, 0).chips:
             assert len(chips) <= most
-            order += [(-chip.value, 1000 - chip.describe()['stamp']['sec']) for chip, _ in chips]
+            described = [chip.describe(FADE) for chip, _ in chips]
+            order += [(-each['value'], 1000 - each['stamp']['sec']) for each in described]
         spool.close()
     assert order == sorted(order)
     assert sorted(number for _, number in order) == list(range(len(values)))
 
 
 def cost_of(spool, value):
-    """Bytes that a chip costs the link at most: file, facts, and 128 for id and value."""
+    """Bytes that a chip costs the link at most: file, facts, and 192 for the rest of its JSON."""
     (chip,) = spool.console.select(ChipFilter(min_value=value, max_value=value))
-    return chip.bytes + len(chip.facts.encode()) + 128
+    return chip.bytes + len(chip.facts.encode()) + 192
 
 
 def test_a_chip_without_room_ends_the_claim(spool) -> None:
@@ -211,8 +216,8 @@ def test_a_chip_without_room_ends_the_claim(spool) -> None:
     )
     first, second = cost_of(spool, 0.9), cost_of(spool, 0.8)
     chips, *why = spool.releaser.claim(9, first + second - 1, ALL, 0)
-    assert ([chip.value for chip, _ in chips], why) == ([0.9], [Stall.NO_ROOM, second])
-    assert spool.releaser.claim(9, second - 1, ALL, 0) == Claim([], Stall.NO_ROOM, second)
+    assert ([chip.value for chip, _ in chips], why) == ([0.9], [FADE, Stall.NO_ROOM, second])
+    assert spool.releaser.claim(9, second - 1, ALL, 0) == Claim([], FADE, Stall.NO_ROOM, second)
     assert claim(spool, room=second) == [0.8]
 
 
@@ -220,16 +225,17 @@ def test_a_chip_that_can_never_go_is_passed_over(spool) -> None:
     spool.writer.store(spool.writer.plan(2), [new_chip(0.9, 5000), new_chip(0.8, 300)], {})
     large = cost_of(spool, 0.9)
     assert claim(spool, largest=large - 1) == [0.8]
-    assert spool.releaser.claim(9, ALL, large - 1, 0) == Claim([], Stall.ALL_TOO_LARGE)
+    assert spool.releaser.claim(9, ALL, large - 1, 0) == Claim([], FADE, Stall.ALL_TOO_LARGE)
     assert claim(spool, largest=large) == [0.9]
-    assert spool.releaser.claim(9, ALL, large, 0) == Claim([], Stall.NOTHING_WAITS)
+    assert spool.releaser.claim(9, ALL, large, 0) == Claim([], FADE, Stall.NOTHING_WAITS)
 
 
 def test_the_overhead_costs_as_well(spool) -> None:
     store(spool.writer, [0.9])
     cost = cost_of(spool, 0.9)
-    assert spool.releaser.claim(9, cost + 99, ALL, 100) == Claim([], Stall.NO_ROOM, cost + 100)
-    assert spool.releaser.claim(9, ALL, cost + 99, 100) == Claim([], Stall.ALL_TOO_LARGE)
+    no_room = Claim([], FADE, Stall.NO_ROOM, cost + 100)
+    assert spool.releaser.claim(9, cost + 99, ALL, 100) == no_room
+    assert spool.releaser.claim(9, ALL, cost + 99, 100) == Claim([], FADE, Stall.ALL_TOO_LARGE)
     assert claim(spool, room=cost + 100, largest=cost + 100, overhead=100) == [0.9]
 
 
@@ -248,8 +254,8 @@ def test_a_chip_costs_no_more_than_its_estimate(chips) -> None:
         spool = SpoolUsers(Path(folder), print)
         spool.writer.store(spool.writer.plan(len(chips)), chips, {})
         for stored in spool.console.select():
-            real = stored.bytes + len(json_bytes(stored.describe()))
-            thought = stored.bytes + len(stored.facts.encode()) + 128
+            real = stored.bytes + len(json_bytes(stored.describe(FADE)))
+            thought = stored.bytes + len(stored.facts.encode()) + 192
             assert real <= thought <= real + 128
         spool.close()
 
@@ -329,7 +335,8 @@ def test_the_least_valuable_are_evicted_the_oldest_of_equals_first(spool) -> Non
         spool.writer.store(spool.writer.plan(4), chips, {}, limit)
         status = counts(spool)
         assert status.file_bytes <= 1.1 * limit
-    kept = Counter((chip.value, chip.describe()['stamp']['sec']) for chip in spool.console.select())
+    described = [chip.describe(FADE) for chip in spool.console.select()]
+    kept = Counter((each['value'], each['stamp']['sec']) for each in described)
     assert status.counts['evicted.max_bytes'] == 36 - kept.total() > 9
     assert all(kept[0.9, number] == 1 for number in range(9))
     assert not any(kept[0.1, number] for number in range(9))
