@@ -58,6 +58,7 @@ from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
 from obbhbb_ros.settings.chip_extractor import ChipSettings
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import NewChip
+from obbhbb_ros.spool.objects import ObjectIds
 from obbhbb_ros.spool.records import recorder_of
 from obbhbb_ros.spool.writer import FrameTicket
 from obbhbb_ros.spool.writer import SpoolWriter
@@ -171,6 +172,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._bucket = TokenBucket(self._budget, time.monotonic())
         self._chip_topics = ChipTopics(self.topics.output, ChipStamps())
         self._spool: SpoolWriter | None = None
+        self._objects = ObjectIds()
+        self.parameters.on_change = self._set_fade
         self._spool_report: SpoolReport | None = None
         images, plans = reliable(IMAGES_KEPT), reliable(PLANS_KEPT)
         # Camera infos and sources come first, so that they are there before images and plans. After
@@ -189,15 +192,17 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self.reporter.add_facts(self._facts)
 
     def configure(self) -> None:
-        """Open the spool, and forget the cameras."""
+        """Open the spool, and forget the cameras and ids of earlier runs."""
         # If Pillow is missing, fail here and not at the first chip.
         import PIL.Image  # noqa: F401
 
         self._cameras.clear()
+        self._objects = ObjectIds()
         path = self.parameters.settings.spool_path
         if path:
             self._spool = SpoolWriter(Path(path), self._warn_of_spool)
             self._spool_report = SpoolReport(self.reporter, self._spool)
+            self._set_fade()
 
     def deactivate(self) -> None:
         """Drop the rest of the frame in work, and what waits."""
@@ -244,6 +249,16 @@ class ChipExtractor(ManagedNode[ChipSettings]):
             self._bucket.change(settings.budget, time.monotonic())
             self._budget = settings.budget
         return settings
+
+    def _set_fade(self) -> None:
+        """Write down in the spool by what repeated views of a ship count less."""
+        if self._spool is not None:
+            self._spool.set_fade(self.parameters.settings.spool_fade, self._on_fade_changed)
+
+    def _on_fade_changed(self, before: float) -> None:
+        """Log that chips that wait have other ranks now."""
+        fade = self.parameters.settings.spool_fade
+        self.get_logger().info(f'spool.fade of the spool is {fade:g} now, it was {before:g}')
 
     def _on_camera_info(self, data: bytes) -> None:
         """Keep the camera for the image of its stamp."""
@@ -444,7 +459,8 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         record = None
         if planned.ticket is not None:
             matching = self._matching(plan, sources)
-            record = recorder_of(image, plan, matching, codec, camera and camera.facts)
+            name = partial(self._objects.name, now=time.monotonic())
+            record = recorder_of(image, plan, matching, codec, camera and camera.facts, name)
         yield from frame.steps(cutter.cut, link, record)
 
     def _camera_of(self, image: WireImage) -> Camera | None:

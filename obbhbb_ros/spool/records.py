@@ -21,6 +21,7 @@ def recorder_of(
     sources: Sequence[Source],
     codec: str,
     camera: WireCamera | None,
+    name_objects: Callable[[Sequence[str]], Sequence[str]],
 ) -> Callable[[EncodedChip], NewChip]:
     """
     Return a function that makes the records of the chips of a frame.
@@ -38,8 +39,12 @@ def recorder_of(
         Name of the codec.
     camera : WireCamera or None
         The camera of the image, if it is known.
+    name_objects : callable
+        Returns the objects of a frame, given the ids of its detections; as `ObjectIds.name`.
     """
     detection_ids = plan.detection_ids()
+    all_ids = [text for ids in detection_ids for text in ids]
+    objects = dict(zip(all_ids, name_objects(all_ids), strict=True))
     common = {
         'frame_id': image.frame_id,
         'image_size': [image.width, image.height],
@@ -58,7 +63,10 @@ def recorder_of(
             'obb': _finite(source.obb),
             **common,
         }
-        return NewChip(source.value, class_id, image.stamp, facts, chip.data)
+        # A chip of several ships counts for that of its most valuable detection.
+        first = source.id or next(iter(detection_ids[chip.index]), '')
+        object_id = objects.get(first, '')
+        return NewChip(source.value, class_id, image.stamp, facts, chip.data, object_id)
 
     return record
 

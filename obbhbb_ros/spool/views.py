@@ -161,8 +161,9 @@ class ObjectViews:
         """Return how many views of an object were released, as far as that is remembered."""
         self._rows.execute('SELECT released FROM objects WHERE object = ?', (key,))
         released = [row[0] for row in self._rows.fetchall()]
-        # Damage may have made anything of it.
-        return released[0] if released and released[0] in _COUNTS else 0
+        # Damage may have made anything of it; a range is searched for what is no number.
+        is_count = released and isinstance(released[0], int) and released[0] in _COUNTS
+        return released[0] if is_count else 0
 
     def _set(self, due: dict[int, int]) -> None:
         """Set k of chips by their numbers."""

@@ -325,7 +325,7 @@ class BruteForce:
 
 
 @given(st.integers(0, 2**32))
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_ranks_are_those_of_the_rule_whatever_is_done(seed) -> None:
     # In memory, where there is one: the disk is not what is tested.
     memory = Path('/dev/shm')
