@@ -53,10 +53,10 @@ def common_arguments(topics: Sequence[str]) -> list[Any]:
             'folder for the state files of the nodes, see the parameter state.path; by default as '
             'in the parameter files',
         ),
-        argument('large_messages', 'false', 'use the DDS profile for messages over 0.5 MB'),
+        argument('large_messages', 'false', 'use the DDS profile for sending messages over 0.5 MB'),
         SetEnvironmentVariable(
             'FASTRTPS_DEFAULT_PROFILES_FILE',
-            f'{share}/config/fastdds_large.xml',
+            f'{share}/config/fastdds_nodes.xml',
             condition=IfCondition(LaunchConfiguration('large_messages')),
         ),
     ]

@@ -99,7 +99,7 @@ def advice_on_silence(topic: str, carriers: dict[str, str]) -> str:
 
 
 def advice_on_loss(
-    topic: str, depth: int, is_reliable: bool, is_overridden: bool, largest: int, has_profile: bool
+    topic: str, depth: int, is_reliable: bool, is_overridden: bool, largest: int
 ) -> str:
     """
     Say what helps if the middleware loses messages.
@@ -114,8 +114,6 @@ def advice_on_loss(
         Whether the subscription is reliable, and whether an override decides that.
     largest : int
         Size of the largest message that has arrived, bytes; 0 for none.
-    has_profile : bool
-        Whether this process has a DDS profile.
 
     Returns
     -------
@@ -138,8 +136,7 @@ def advice_on_loss(
         return (
             f'messages of up to {largest} bytes, pushed out by others or unread in time: {remedy}'
         )
-    where = 'at the publisher, too' if has_profile else 'at both ends'
     return (
         f'{remedy}; messages over {_LARGE / 1e6:g} MB otherwise need the DDS profile '
-        f'config/fastdds_large.xml {where}'
+        f'config/fastdds_large.xml at the publisher'
     )

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -35,8 +34,6 @@ _DEPTH = 10
 # topic without a publisher is reported.
 _LOOK_PERIOD = 1.0
 _PATIENCE = 5
-# Names the file with the DDS profile.
-_PROFILE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 
 def message_type(input_type: InputType) -> Any:
@@ -266,7 +263,6 @@ class TopicInput:
             subscription.qos.reliability == ReliabilityPolicy.RELIABLE,
             subscription.has_fixed_reliability,
             subscription.largest,
-            _PROFILE in os.environ,
         )
         self.topics.reporter.warn(
             f'messages lost on {topic}',

@@ -21,6 +21,7 @@ SHARE = [
     'obbhbb_ros/config/paper.yaml',
     'obbhbb_ros/config/diagnostic_aggregator.yaml',
     'obbhbb_ros/config/fastdds_large.xml',
+    'obbhbb_ros/config/fastdds_nodes.xml',
     'obbhbb_ros/config/foxglove_layout.json',
     'obbhbb_ros/config/security/policy.xml',
     'obbhbb_ros/launch/downlink.launch.py',

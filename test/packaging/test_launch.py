@@ -23,7 +23,7 @@ CHAIN_TOPICS = (
     'tracked_detections',
 )
 TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions', 'crop_sources')
-LARGE = 'config/fastdds_large.xml'
+LARGE = 'config/fastdds_nodes.xml'
 
 
 def test_the_conversion_node_is_launched_as_it_is() -> None:

@@ -85,16 +85,17 @@ def test_other_topics_are_named_if_nobody_publishes(
 
 
 def test_lost_messages_are_explained_by_what_is_not_in_force_yet() -> None:
-    reliable = advice_on_loss('/d', 10, True, True, 900_000, True)
+    reliable = advice_on_loss('/d', 10, True, True, 900_000)
     assert 'qos_overrides./d.subscription.depth above 10' in reliable
     assert 'MB' not in reliable
     assert 'reliability' not in reliable
-    small = advice_on_loss('/camera_info', 10, False, False, 400, False)
+    small = advice_on_loss('/camera_info', 10, False, False, 400)
     assert 'up to 400 bytes' in small
     assert 'MB' not in small
     assert 'a reliable one loses none' in small
-    fixed = advice_on_loss('/d', 10, False, True, 400, False)
+    fixed = advice_on_loss('/d', 10, False, True, 400)
     assert 'remove qos_overrides./d.subscription.reliability' in fixed
-    assert 'at both ends' in advice_on_loss('/image', 10, False, False, 0, False)
-    large = advice_on_loss('/image', 10, False, False, 900_000, True)
-    assert 'config/fastdds_large.xml at the publisher, too' in large
+    unknown = advice_on_loss('/image', 10, False, False, 0)
+    assert 'config/fastdds_large.xml at the publisher' in unknown
+    large = advice_on_loss('/image', 10, False, False, 900_000)
+    assert 'config/fastdds_large.xml at the publisher' in large
