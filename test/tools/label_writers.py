@@ -475,7 +475,7 @@ for _kind, _carries, _confidence in (
 
 @sample('ultralytics', 'predictions.json, rotated', 'rotation')
 def write_predictions(fleet: Fleet, folder: Path) -> Path:
-    """Write what the validation of an OBB model saves."""
+    """Write what the validation of an OBB model saves, beside the names of the classes."""
     from types import SimpleNamespace
 
     import torch
@@ -490,6 +490,7 @@ def write_predictions(fleet: Fleet, folder: Path) -> Path:
             OBBValidator.pred_to_json(keeper, predictions, batch)
     path = folder / 'predictions.json'
     path.write_text(json.dumps(keeper.jdict))
+    _classes(fleet, folder)
     return path
 
 
