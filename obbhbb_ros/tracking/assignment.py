@@ -34,7 +34,9 @@ _LENGTH_ERROR = 0.05
 _SEEN_ONCE = 2.0
 # Objects further outside, in sides of the image, are not looked for.
 _MARGIN = 0.2
-_MAX_PAIRS = 500_000
+# Ship lengths: no ship is looked for beyond.
+_FARTHEST = 8.0
+_MAX_PAIRS = 200_000
 
 
 class Pairs(NamedTuple):
@@ -142,11 +144,12 @@ def _candidates(known: Rows, boxes: Rows, size: complex, deviations: float) -> _
     off = box['place'] - one['place'] + inner * (box['length'] - one['length']) / 2
     pairs = _Candidates(i, j, off, anchored_variance(one, box, inner), np.zeros(len(i)))
     keep, by_end = pairs.within(deviations), inner != 0
-    if by_end.any():
+    cut = by_end | ~box['whole']
+    if cut.any():
         # A ship that enters is none that was last seen elsewhere, or that has left by itself.
         length = np.maximum(box['length'], one['length'])
         end = one['place'] + inner * one['length'] / 2
-        keep &= ~by_end | ((np.abs(off) < length) & (depth(end, size) > 0))
+        keep &= ~cut | ((np.abs(off) < length) & (~by_end | (depth(end, size) > 0)))
     return pairs.chosen(keep)
 
 
@@ -162,7 +165,11 @@ def _in_reach(known: Rows, boxes: Rows, deviations: float) -> tuple[Indices, Ind
         by_end = ~known['whole'] if is_whole else np.ones(len(known), np.bool_)
         length = known['length'] * by_end
         reach = deviations * np.sqrt(known['place_var'] + widest + (_LENGTH_ERROR * length) ** 2)
-        reach += 0.75 * length
+        # Wide gates would pair everybody with everybody.
+        farthest = _FARTHEST * known['length']
+        if not is_whole:
+            farthest = np.maximum(known['length'], boxes['length'][group].max(initial=0.0))
+        reach = np.minimum(reach, farthest) + 0.75 * length
         first, last = (np.searchsorted(x, known['place'].real + side * reach) for side in (-1, 1))
         j, i = index_pairs(first, last, _MAX_PAIRS)
         i = group[i]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import struct
 import sys
 import time
 from collections.abc import Iterator
@@ -30,15 +31,25 @@ from harness import site_at
 from ships import detector_message
 
 from obbhbb_ros.text_tables import text_table
+from obbhbb_ros.wire.detections import Detections
 
 TICKS = os.sysconf('SC_CLK_TCK')
 PEERS = [sys.executable, str(Path(__file__).with_name('peers.py'))]
+# Pixels by which the image moves between two messages.
+STEP = 60.0
 IMAGE = {'image_width': 4096, 'image_height': 4096}
-NODES = {
+# The tracker is to follow every box.
+PARAMETERS = {
+    'obb_to_hbb': IMAGE,
+    'ship_tracker': IMAGE | {'ids': 'assign'},
+}
+TOPICS = {'tracker': ['tracked_detections'], 'ours + crops': ['boxes', 'crop_regions']}
+NODES: dict[str, str | list[str]] = {
     'echo': [*PEERS, 'echo'],
     'typed': [*PEERS, 'typed'],
     'ours': 'obb_to_hbb',
     'ours + crops': 'obb_to_hbb',
+    'tracker': 'ship_tracker',
 }
 
 
@@ -48,11 +59,12 @@ class Asked:
     def __init__(self, name: str, peer: Peer) -> None:
         self.name = name
         namespace = f'{peer.node.get_namespace()}/{"".join(filter(str.isalpha, name))}'
-        size = IMAGE if name.startswith('ours') else {}
-        self.process = NodeProcess(NODES[name], parameters=size, namespace=namespace)
+        node = NODES[name]
+        given = PARAMETERS[node] if isinstance(node, str) else {}
+        self.process = NodeProcess(node, parameters=given, namespace=namespace)
         self._peer = peer
-        self._answers = 0
-        topics = ['boxes', 'crop_regions'] if name.endswith('crops') else ['boxes']
+        self._answers = self._asked = 0
+        topics = TOPICS.get(name, ['boxes'])
         self._wanted = len(topics)
         self._publisher = peer.node.create_publisher(
             Detection2DArray, f'{namespace}/detections', 10
@@ -65,9 +77,11 @@ class Asked:
     def _count(self, data: bytes) -> None:
         self._answers += 1
 
-    def ask(self, data: bytes, timeout: float = 5.0) -> float:
-        """Send a message and wait for all that comes of it; seconds, NaN if nothing does."""
+    def ask(self, messages: Sequence[bytes], timeout: float = 5.0) -> float:
+        """Send the next message and wait for all that comes of it; seconds, NaN if nothing does."""
         self._answers = 0
+        self._asked += 1
+        data = stamped(messages[self._asked % len(messages)], self._asked)
         started = time.perf_counter()
         self._publisher.publish(data)
         while self._answers < self._wanted:
@@ -76,14 +90,31 @@ class Asked:
                 return float('nan')
         return time.perf_counter() - started
 
-    def warm_up(self, data: bytes) -> None:
+    def warm_up(self, messages: Sequence[bytes]) -> None:
         """Ask until answers come."""
         deadline = time.monotonic() + TIMEOUT
-        while np.isnan(self.ask(data, 0.5)):
+        while np.isnan(self.ask(messages, 0.5)):
             if time.monotonic() > deadline:
                 raise TimeoutError(f'{self.name} does not answer')
         for _ in range(20):
-            self.ask(data)
+            self.ask(messages)
+
+
+def moving(data: bytes) -> list[bytes]:
+    """Write a message as it looks while the camera passes; who leaves enters on the other side."""
+    detections = Detections(data)
+    rows, ids = detections.xywhr(), detections.ids()
+    messages = []
+    for _ in range(40):
+        rows[:, 0] = (rows[:, 0] + STEP) % IMAGE['image_width']
+        messages.append(detections.with_ids(ids, rows))
+    return messages
+
+
+def stamped(data: bytes, number: int) -> bytes:
+    """Give a little-endian message the stamp of an image at ten a second."""
+    seconds, tenths = divmod(number, 10)
+    return data[:4] + struct.pack('<iI', seconds, tenths * 100_000_000) + data[12:]
 
 
 @contextmanager
@@ -102,15 +133,15 @@ def all_asked() -> Iterator[list[Asked]]:
 
 def measure(asked: Sequence[Asked], count: int, rounds: int) -> list[list[str]]:
     """Ask all nodes in turn with messages of `count` detections; one row per node."""
-    data = detector_message(count)
+    messages = moving(detector_message(count))
     for node in asked:
-        node.warm_up(data)
+        node.warm_up(messages)
     times: dict[str, list[float]] = {node.name: [] for node in asked}
     cpu = {node.name: 0.0 for node in asked}
     for _ in range(rounds):
         for node in asked:
             before = node.process.cpu_seconds()
-            times[node.name] += [node.ask(data) for _ in range(20)]
+            times[node.name] += [node.ask(messages) for _ in range(20)]
             cpu[node.name] += node.process.cpu_seconds() - before
     medians = {name: np.nanmedian(values) for name, values in times.items()}
     rows = []
