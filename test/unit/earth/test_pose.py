@@ -218,3 +218,27 @@ def test_a_sample_with_the_stamp_of_another_replaces_it() -> None:
         track.add((5, 0), pose_at(x))
     assert len(track) == 1
     assert track.at((5, 0), 1.0).sample.position[1] == 2.0
+
+
+@pytest.mark.parametrize(
+    ('mount', 'looks', 'up'),
+    [
+        ((-0.5, 0.5, -0.5, 0.5), (1, 0, 0), (0, 0, 1)),
+        ((-0.6533, 0.6533, -0.2706, 0.2706), (0.7071, 0, -0.7071), (0.7071, 0, 0.7071)),
+        ((-0.7071, 0.7071, 0, 0), (0, 0, -1), (1, 0, 0)),
+    ],
+)
+def test_the_mounts_of_the_page_look_where_it_says(mount, looks, up) -> None:
+    matrix = matrix_of(unit_quaternion(mount))
+    np.testing.assert_allclose(matrix @ (0, 0, 1), looks, atol=1e-3)
+    np.testing.assert_allclose(matrix @ (0, -1, 0), up, atol=1e-3)
+
+
+@given(QUATERNION)
+def test_the_attitude_of_px4_is_turned_as_the_page_says(quaternion) -> None:
+    turned = product(product((0.5**0.5, 0.5**0.5, 0, 0), quaternion), (1, 0, 0, 0))
+    # Forward is the same axis of the body; north and east change places, and up is not down.
+    north, east, down = matrix_of(quaternion) @ (1, 0, 0)
+    np.testing.assert_allclose(matrix_of(turned) @ (1, 0, 0), (east, north, -down), atol=1e-12)
+    north, east, down = matrix_of(quaternion) @ (0, 0, 1)
+    np.testing.assert_allclose(matrix_of(turned) @ (0, 0, -1), (east, north, -down), atol=1e-12)
