@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+import itertools
 from argparse import ArgumentParser
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +34,9 @@ from obbhbb_ros.study.progress import note
 from obbhbb_ros.study.progress import track
 from obbhbb_ros.study.rules import DEFAULT_RULES
 
+# Labels, and pixels of shape (H, W, C).
+_Picture: TypeAlias = tuple[ImageLabels, NDArray[np.uint8]]
+
 
 def add_chips_options(parser: ArgumentParser) -> None:
     """Add the options of `obbhbb chips`."""
@@ -49,38 +56,46 @@ def add_chips_options(parser: ArgumentParser) -> None:
 
 def run_chips(options: Namespace) -> None:
     """Compare the size of the chips of each method: pixels, and bytes by codec."""
-    if options.labels is None:
-        what, source = 'a synthetic harbour (no real pixels)', harbour()
-        pictures = [(source, chip_costs.render(source))]
-    else:
-        note_unread_folders(options.labels)
-        images = list(read_labels(options.labels))
-        pictures = [
-            _pictured(image, path)
-            for image, path in zip(images, find_images(images), strict=True)
-            if path is not None
-        ]
-        what = f'{options.labels}, {len(pictures)} of {len(images)} images found'
-    if not pictures:
-        raise ValueError(f'no image found for the labels in {options.labels}')
+    what, pictures = _pictures(options.labels)
+    first = next(pictures)
+    pictures = itertools.chain([first], pictures)
+    ships: list[int] = []
+    if options.ships:
+        pictures = _draw_ships(options.ships, pictures, ships.append)
     costs = chip_costs.chip_costs(pictures, CropSettings(padding=options.padding))
     print(f'chips of {what}; difference from outer in brackets\n')
     print(tables.cost_table(costs))
     if options.picture:
         from obbhbb_ros.study import figures
 
-        figures.save(figures.cost_figure(costs, *pictures[0], what), options.picture, dpi=75)
+        figures.save(figures.cost_figure(costs, *first, what), options.picture, dpi=75)
         print(f'\npicture: {options.picture}')
     if options.ships:
-        print(f'\nships: {_draw_ships(options.ships, pictures)} pictures in {options.ships}')
+        print(f'\nships: {sum(ships)} pictures in {options.ships}')
 
 
-def _draw_ships(folder: Path, pictures: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> int:
-    """Draw the ships of images with the boxes of all methods, and return how many there are."""
+def _pictures(path: Path | None) -> tuple[str, Iterator[_Picture]]:
+    """Name the images of labels, by default a harbour, and load them one by one."""
+    if path is None:
+        source = harbour()
+        return 'a synthetic harbour (no real pixels)', iter([(source, chip_costs.render(source))])
+    note_unread_folders(path)
+    images = list(read_labels(path))
+    pairs = zip(images, find_images(images), strict=True)
+    pictured = [(image, file) for image, file in pairs if file is not None]
+    if not pictured:
+        raise ValueError(f'no image found for the labels in {path}')
+    what = f'{path}, {len(pictured)} of {len(images)} images found'
+    return what, itertools.starmap(_pictured, pictured)
+
+
+def _draw_ships(
+    folder: Path, pictures: Iterable[_Picture], on_drawn: Callable[[int], object]
+) -> Iterator[_Picture]:
+    """Draw the ships of images with the boxes of all methods as they pass, and count them."""
     from obbhbb_ros.study import figures
 
     folder.mkdir(parents=True, exist_ok=True)
-    count = 0
     for labels, pixels in pictures:
         boxes = {
             name: convert_by_rule(labels.boxes(), rule) for name, rule in DEFAULT_RULES.items()
@@ -91,11 +106,11 @@ def _draw_ships(folder: Path, pictures: Sequence[tuple[ImageLabels, NDArray[np.u
         for row in track(rows, f'drawing {labels.image}'):
             figure = figures.ship_figure(labels, pixels, boxes, row)
             figures.save(figure, folder / f'{bare_name(labels.image)}_{row + 1}.png', dpi=100)
-        count += len(rows)
-    return count
+        on_drawn(len(rows))
+        yield labels, pixels
 
 
-def _pictured(labels: ImageLabels, path: Path) -> tuple[ImageLabels, NDArray[np.uint8]]:
+def _pictured(labels: ImageLabels, path: Path) -> _Picture:
     """
     Load the image of labels, (H, W, C); 16 bits are stretched. Say if labels lie outside it.
 

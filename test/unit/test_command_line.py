@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -325,3 +326,17 @@ def test_boxes_whose_area_overflows_are_left_out_and_named(
     path.write_text(HEAD + ROW.format(1, 1) + far + ROW.format(1, 2))
     assert main(['convert', str(path), str(tmp_path / 'out.json'), '--to', 'coco']) == 0
     assert "image 'a': box 1 left out: overflow" in capsys.readouterr().err
+
+
+def test_chips_holds_few_pictures_at_a_time(tmp_path: Path) -> None:
+    size = 1000
+    for i in range(20):
+        Image.new('RGB', (size, size)).save(tmp_path / f'{i}.png')
+        (tmp_path / f'{i}.txt').write_text('10 10 90 10 90 40 10 40 ship 0\n')
+    tracemalloc.start()
+    try:
+        assert main(['chips', str(tmp_path)]) == 0
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 10 * 3 * size**2
