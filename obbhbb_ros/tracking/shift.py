@@ -148,6 +148,10 @@ def fitted(
     length = np.vdot(before, before).real
     if len(start) >= (3 if has_turned else _MIN_TURN) and length > 0.0:
         other = complex(np.vdot(before, after) / length)
+        scale = abs(other / turn)
+        if not math.exp(-_MAX_SCALE) < scale < math.exp(_MAX_SCALE):
+            # Boxes on one spot, for example.
+            return turn, target - turn * origin
         if has_turned or np.std(after - other * before) < _BETTER * np.std(after - turn * before):
             turn = other
     return turn, target - turn * origin

@@ -17,6 +17,7 @@ from obbhbb_ros.tracking.assignment import index_pairs
 from obbhbb_ros.tracking.matcher import MAX_BOXES
 from obbhbb_ros.tracking.matcher import MAX_OBJECTS
 from obbhbb_ros.tracking.matcher import ShipMatcher
+from obbhbb_ros.tracking.shift import fitted
 from obbhbb_ros.tracking.sightings import Motion
 
 SIZE = 4000 + 3000j
@@ -146,6 +147,12 @@ def test_no_two_boxes_of_a_frame_share_a_number_whatever_they_are(sequence) -> N
             assert len(np.unique(given_ones)) == len(given_ones)
             is_finite = np.isfinite(np.column_stack((x, y, length, angle))).all(axis=1)
             assert not (numbers[~is_finite] >= 0).any()
+
+
+@pytest.mark.parametrize('has_turned', [False, True])
+def test_boxes_that_fall_on_one_spot_do_not_shrink_the_image_to_it(has_turned) -> None:
+    start = np.arange(6.0) + 0j
+    assert fitted(start, np.zeros(6) + 0j, 1.0, has_turned) == (1.0, -2.5)
 
 
 def test_time_that_goes_back_a_little_loses_no_ship() -> None:
