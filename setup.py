@@ -19,13 +19,14 @@ PACKAGE = 'obbhbb_ros'
 MANIFEST = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
 MAINTAINER = MANIFEST.find('maintainer')
 
-NODES = (
+EXECUTABLES = (
     'obb_to_hbb',
     'chip_extractor',
     'downlink',
     'overlay',
     'play_detections',
     'ship_tracker',
+    'payload',
 )
 
 ROS = [
@@ -121,7 +122,7 @@ setup(
     entry_points={
         'console_scripts': [
             f'obbhbb = {PACKAGE}.cli:main',
-            *(f'{name} = {PACKAGE}.nodes.__main__:main' for name in NODES),
+            *(f'{name} = {PACKAGE}.nodes.__main__:main' for name in EXECUTABLES),
         ],
     },
     zip_safe=False,

@@ -38,7 +38,7 @@ from pathlib import Path
 # Before libraries start threads, as the executables do.
 signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
 from obbhbb_ros.nodes import obb_to_hbb
-from obbhbb_ros.nodes.__main__ import run_node
+from obbhbb_ros.nodes.__main__ import run_executable
 
 trap, answer = Path(sys.argv.pop(1)), obb_to_hbb.answer
 
@@ -49,7 +49,7 @@ def stuck_answer(*args):
     return answer(*args)
 
 obb_to_hbb.answer = stuck_answer
-sys.exit(run_node('obb_to_hbb'))
+sys.exit(run_executable('obb_to_hbb'))
 """
 
 

@@ -23,7 +23,7 @@ def executor_class(name: str) -> Callable[..., Any]:
 
 def main() -> int:
     """Run a node as its executable does, but by the executor of the first argument."""
-    from obbhbb_ros.nodes.__main__ import NODES
+    from obbhbb_ros.nodes.executables import NODES
     from obbhbb_ros.nodes.stop import Stop
 
     # Before libraries start threads, as the executables do.
@@ -37,7 +37,7 @@ def main() -> int:
         return executor
 
     node_class = getattr(import_module(f'obbhbb_ros.nodes.{node_name}'), NODES[node_name])
-    return process.run(node_class, stop, make_executor=make_executor)
+    return process.run({node_name: node_class}, stop, make_executor=make_executor)
 
 
 if __name__ == '__main__':

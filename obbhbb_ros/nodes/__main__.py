@@ -3,6 +3,7 @@
 The executables. Signals are handled first; modules that take time to import come after that.
 
     python -m obbhbb_ros.nodes obb_to_hbb --ros-args -p q:=2.5
+    python -m obbhbb_ros.nodes payload --nodes obb_to_hbb chip_extractor downlink
 """
 
 from __future__ import annotations
@@ -11,32 +12,28 @@ import os.path
 import sys
 from importlib import import_module
 
+from obbhbb_ros.nodes.executables import NODES
+from obbhbb_ros.nodes.executables import PAYLOAD
 from obbhbb_ros.nodes.failure import REASONS
 from obbhbb_ros.nodes.failure import cannot_start
 from obbhbb_ros.nodes.stop import Stop
 
-NODES = {
-    'obb_to_hbb': 'ObbToHbb',
-    'chip_extractor': 'ChipExtractor',
-    'downlink': 'Downlink',
-    'overlay': 'Overlay',
-    'play_detections': 'PlayDetections',
-    'ship_tracker': 'ShipTracker',
-}
-"""The class of each executable; its module has the name of the executable."""
 
-
-def run_node(name: str) -> int:
-    """Run the node of an executable, and return the exit code."""
+def run_executable(executable: str) -> int:
+    """Run the node of an executable, or the nodes of `payload`, and return the exit code."""
     try:
         stop = Stop()
-        if arguments := not_for_ros(sys.argv[1:]):
-            import_module('obbhbb_ros.nodes.usage').answer(name, arguments)
+        names, arguments = [executable], not_for_ros(sys.argv[1:])
+        if executable == PAYLOAD:
+            names = import_module('obbhbb_ros.nodes.payload').chosen(arguments)
+        elif arguments:
+            import_module('obbhbb_ros.nodes.usage').answer(executable, arguments)
         process = import_module('obbhbb_ros.nodes.process')
-        module = import_module(f'obbhbb_ros.nodes.{name}')
+        modules = {name: import_module(f'obbhbb_ros.nodes.{name}') for name in names}
     except REASONS as error:
         return cannot_start(error)
-    return int(process.run(getattr(module, NODES[name]), stop))
+    makers = {name: getattr(module, NODES[name]) for name, module in modules.items()}
+    return int(process.run(makers, stop))
 
 
 def not_for_ros(arguments: list[str]) -> list[str]:
@@ -51,13 +48,14 @@ def not_for_ros(arguments: list[str]) -> list[str]:
 
 
 def main() -> int:
-    """Run the node that the executable is named for, or else the first argument names."""
+    """Run the executable that the program is named for, or else the first argument names."""
+    executables = (*NODES, PAYLOAD)
     name = os.path.basename(sys.argv[0])
-    if name not in NODES:
+    if name not in executables:
         name = sys.argv.pop(1) if len(sys.argv) > 1 else ''
-    if name not in NODES:
-        sys.exit(f'name an executable: {", ".join(NODES)}')
-    return run_node(name)
+    if name not in executables:
+        sys.exit(f'name an executable: {", ".join(executables)}')
+    return run_executable(name)
 
 
 if __name__ == '__main__':

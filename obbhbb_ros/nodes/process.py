@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From command line to clean exit: what every node's process does."""
+"""From command line to clean exit: what the process of a node, or of several, does."""
 
 from __future__ import annotations
 
@@ -7,7 +7,14 @@ import gc
 import os
 import stat
 import sys
+import threading
+from collections import Counter
 from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
+from concurrent.futures import FIRST_COMPLETED
+from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import wait
 from contextlib import suppress
 
 import rclpy
@@ -18,17 +25,17 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from obbhbb_ros.errors import StartError
 from obbhbb_ros.nodes.executor import ExpressExecutor
 from obbhbb_ros.nodes.executor import UnknownRclpyError
 from obbhbb_ros.nodes.failure import REASONS
 from obbhbb_ros.nodes.failure import cannot_start
 from obbhbb_ros.nodes.given_parameters import warn_of_unused_files
-from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.stop import RUNNING
 from obbhbb_ros.nodes.stop import STARTING
 from obbhbb_ros.nodes.stop import Stop
 from obbhbb_ros.nodes.supervision import Supervision
-from obbhbb_ros.nodes.watchdog import Watchdog
+from obbhbb_ros.nodes.watchdog import Turns
 
 # The stock executor does not return when it is only woken, and the watchdog has to tell an idle
 # executor from a blocked one.
@@ -47,26 +54,27 @@ def executor_for(node: Node) -> Executor:
 
 
 def run(
-    make_node: Callable[[], Node],
+    makers: Mapping[str, Callable[[], Node]],
     stop: Stop,
     make_executor: Callable[[Node], Executor] = executor_for,
 ) -> int:
     """
-    Run a node until SIGINT, SIGTERM or a shutdown of its context.
+    Run nodes until SIGINT, SIGTERM or a shutdown of their context.
 
     Parameters
     ----------
-    make_node : callable
-        Makes the node; may raise ParameterException, or what `failure.REASONS` lists.
+    makers : mapping of str to callable
+        Makes the node of each executable; may raise ParameterException, or what `failure.REASONS`
+        lists.
     stop : Stop
         Receives SIGINT and SIGTERM.
     make_executor : callable, optional
-        Makes the executor of the node.
+        Makes the executor of a node.
 
     Returns
     -------
     int
-        Exit code: 0 after SIGINT, SIGTERM or a shutdown, 1 if the node cannot start.
+        Exit code: 0 after SIGINT, SIGTERM or a shutdown, 1 if a node cannot start.
     """
     stop.patience = STARTING
     never_wait_to_log()
@@ -76,9 +84,9 @@ def run(
         # The arguments after --ros-args cannot be used.
         return cannot_start(error)
     try:
-        node = make_node()
-        warn_of_unused_files([node])
-        supervision = Supervision([node] if isinstance(node, ManagedNode) else [])
+        nodes = _made(makers)
+        warn_of_unused_files(nodes)
+        supervision = Supervision(nodes)
         supervision.start_nodes()
     except (ParameterException, *REASONS) as error:
         rclpy.try_shutdown()
@@ -86,7 +94,7 @@ def run(
     stop.on_leaving = supervision.end
     stop.patience = RUNNING
     try:
-        _run_to_the_end(make_executor(node), node, stop, supervision)
+        _run_to_the_end([make_executor(node) for node in nodes], nodes, stop, supervision)
     except BaseException as error:
         supervision.end(f'{type(error).__name__}: {error}')
         raise
@@ -94,16 +102,42 @@ def run(
     return 0
 
 
-def _run_to_the_end(executor: Executor, node: Node, stop: Stop, supervision: Supervision) -> None:
-    """Spin a node until asked to stop, then destroy it."""
-    stop.wake_by(executor.wake)
+def _made(makers: Mapping[str, Callable[[], Node]]) -> list[Node]:
+    """Make the nodes of a process; an error says of which of several."""
+    nodes: list[Node] = []
+    for executable, make_node in makers.items():
+        try:
+            nodes.append(make_node())
+        except (ParameterException, *REASONS) as error:
+            if len(makers) == 1:
+                raise
+            raise StartError(f'{executable}: {error or type(error).__name__}') from error
+    names = Counter(node.get_fully_qualified_name() for node in nodes)
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise StartError(
+            f'several nodes are named {twice[0]}: name one alone, with -r obb_to_hbb:__node:=...'
+        )
+    return nodes
+
+
+def _run_to_the_end(
+    executors: Sequence[Executor], nodes: Sequence[Node], stop: Stop, supervision: Supervision
+) -> None:
+    """Spin nodes until asked to stop, then destroy them."""
+
+    def wake_all() -> None:
+        for executor in executors:
+            executor.wake()
+
+    stop.wake_by(wake_all)
     try:
-        spin(executor, node, stop, supervision.watchdog)
+        spin_all(executors, nodes, stop, supervision.turns)
     finally:
         supervision.watchdog.stop()
         stop.wake_by(lambda: None)
-        executor.shutdown()
-        node.destroy_node()
+        for executor, node in zip(executors, nodes, strict=True):
+            executor.shutdown()
+            node.destroy_node()
         rclpy.try_shutdown()
 
 
@@ -130,13 +164,30 @@ def never_wait_to_log() -> None:
                 os.close(descriptor)
 
 
-def spin(executor: Executor, node: Node, stop: Stop, watchdog: Watchdog) -> None:
-    """Spin until asked to stop; an error in a callback is logged, and the node goes on."""
+def spin_all(
+    executors: Sequence[Executor], nodes: Sequence[Node], stop: Stop, turns: Sequence[Turns]
+) -> None:
+    """Spin every node, several in a thread each, until one of them ends; then all end."""
     # A collection takes 18 ms if it looks through the modules, which live until the end.
     gc.collect()
     gc.freeze()
+    jobs = list(zip(executors, nodes, turns, strict=True))
+    if len(jobs) == 1:
+        spin(*jobs[0], stop)
+        return
+    with ThreadPoolExecutor(len(jobs), 'spin') as threads:
+        ends = [threads.submit(spin, *job, stop) for job in jobs]
+        wait(ends, return_when=FIRST_COMPLETED)
+        rclpy.try_shutdown()
+    for end in ends:
+        end.result()
+
+
+def spin(executor: Executor, node: Node, turns: Turns, stop: Stop) -> None:
+    """Spin a node until asked to stop; an error in a callback is logged, and the node goes on."""
+    turns.thread = threading.get_ident()
     while not stop.requested and node.context.ok():
-        watchdog.turns += 1
+        turns.count += 1
         try:
             executor.spin_once(timeout_sec=_MAX_WAIT)
         except ExternalShutdownException:

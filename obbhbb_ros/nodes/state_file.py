@@ -79,8 +79,8 @@ class StateFile:
 
     Attributes
     ----------
-    last_run : LastRun
-        How the last run ended.
+    last_stacks : dict of int to str
+        What faulthandler left, if anything, by the process id of the last run.
     stacks_file : binary file
         Where faulthandler writes.
 
@@ -97,9 +97,25 @@ class StateFile:
         self._counters, self._warn, self._is_writable = counters, warn, True
         self._lock = threading.Lock()
         self._run = Run(node=node, pid=os.getpid(), boot=_boot_id(), started=_now())
-        self.last_run = self._read_last_run()
-        self._run = replace(self._run, restarts=self.last_run.restarts)
+        self._last = self._read_last()
+        self.last_stacks = self._read_stacks()
         faulthandler.enable(self.stacks_file)
+
+    def explain(self, stacks: Mapping[int, str]) -> LastRun:
+        """
+        Find out how the last run ended, before this one begins.
+
+        Parameters
+        ----------
+        stacks : mapping of int to str
+            What faulthandler left, by process id: of the nodes of a process, one has the stacks.
+        """
+        if isinstance(self._last, Run):
+            last = last_run(self._last, stacks.get(self._last.pid, ''), self._run.boot)
+        else:
+            last = self._last
+        self._run = replace(self._run, restarts=last.restarts)
+        return last
 
     def begin(self, state: str) -> None:
         """Write that the run has begun; what the last run left is not needed any more."""
@@ -115,10 +131,8 @@ class StateFile:
         """Write why the run ends; only the first reason counts."""
         self._write(replace(self._run, ended=reason, asked=asked))
 
-    def _read_last_run(self) -> LastRun:
-        """Read how the last run ended; warn if the file does not say."""
-        self.stacks_file.seek(0)
-        stacks = self.stacks_file.read(_MAX_STACKS).decode(errors='replace')
+    def _read_last(self) -> Run | LastRun:
+        """Read the last run; warn if the file does not say, and return what is known then."""
         try:
             with self._path.open('rb') as file:
                 run = read_run(file.read(_MAX_BYTES))
@@ -130,7 +144,13 @@ class StateFile:
         if run.node != self._run.node:
             self._warn(f'it was the state file of another node, {run.node}')
             return LastRun()
-        return last_run(run, stacks, self._run.boot)
+        return run
+
+    def _read_stacks(self) -> dict[int, str]:
+        """Read what faulthandler wrote in the last run."""
+        self.stacks_file.seek(0)
+        stacks = self.stacks_file.read(_MAX_STACKS).decode(errors='replace')
+        return {self._last.pid: stacks} if isinstance(self._last, Run) and stacks else {}
 
     def _write(self, run: Run) -> None:
         """Replace the file, unless the run has ended; warn once if that becomes impossible."""

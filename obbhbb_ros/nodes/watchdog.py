@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ends a process whose executor or a thread of its nodes is stuck, so that it is started again."""
+"""Ends a process if an executor or a thread of a node is stuck, so that it is started again."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import sys
 import threading
 from collections.abc import Callable
 from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
 from functools import partial
 from typing import IO
 from typing import Any
@@ -29,9 +31,29 @@ _WORKER_PATIENCE = 10.0
 _LAST_RESORT = 2.0
 
 
+@dataclass
+class Turns:
+    """
+    How often the executor of a node has returned.
+
+    Attributes
+    ----------
+    node : str
+        Name of the node.
+    count : int
+        To be increased whenever the executor returns. Until the first time, the node is starting.
+    thread : int or None
+        Identifier of the thread that runs the executor.
+    """
+
+    node: str
+    count: int = 0
+    thread: int | None = field(default_factory=lambda: threading.main_thread().ident)
+
+
 class Watchdog:
     """
-    Ends the process when its executor, or a thread of a node, is blocked for some time.
+    Ends the process when an executor, or a thread of a node, is blocked for some time.
 
     It looks from a thread of its own. While a library holds Python's lock, that thread cannot run;
     then the last resort ends the process, by SIGALRM, after twice the time.
@@ -40,17 +62,14 @@ class Watchdog:
     ----------
     timeout : float
         Seconds; 0 for no watchdog.
+    turns : sequence of Turns
+        Those of the executors.
     stacks_file : file or None
         Where the stacks are written in that case; standard error by default.
     on_stuck : callable
         Called with the reason before the process ends.
     worker_signs : sequence of callable
         Each returns a number that grows as long as a thread of a node goes on; None without one.
-
-    Attributes
-    ----------
-    turns : int
-        To be increased whenever the executor returns. Until the first time, the node is starting.
 
     Raises
     ------
@@ -61,6 +80,7 @@ class Watchdog:
     def __init__(
         self,
         timeout: float,
+        turns: Sequence[Turns],
         stacks_file: IO[bytes] | None,
         on_stuck: Callable[[str], object],
         worker_signs: Sequence[Callable[[], int | None]] = (),
@@ -69,7 +89,7 @@ class Watchdog:
             raise ValueError(
                 f'watchdog_timeout must be 0, or {_MIN_TIMEOUT:g} or more, not {timeout}'
             )
-        self.turns = 0
+        self._turns = turns
         self._timeout, self._stacks_file, self._on_stuck = timeout, stacks_file, on_stuck
         self._worker_signs = worker_signs
         self._stopping = threading.Event()
@@ -87,30 +107,38 @@ class Watchdog:
         last_resort = LastResort(_LAST_RESORT * self._timeout - grace, grace, stacks_file)
         worker_timeout = self._timeout + _WORKER_PATIENCE
         max_worker_looks = _LOOKS_PER_TIMEOUT * worker_timeout / self._timeout
-        unchanged, silent = 0, [0] * len(self._worker_signs)
-        while unchanged < _LOOKS_PER_TIMEOUT and max(silent, default=0) < max_worker_looks:
+        unchanged, silent = [0] * len(self._turns), [0] * len(self._worker_signs)
+        while max(unchanged) < _LOOKS_PER_TIMEOUT and max(silent, default=0) < max_worker_looks:
             # It ends the process, unless this line is reached again in time.
             last_resort.put_off()
-            turns, signs = self.turns, [sign() for sign in self._worker_signs]
+            counts = [turns.count for turns in self._turns]
+            signs = [sign() for sign in self._worker_signs]
             if self._stopping.wait(self._timeout / _LOOKS_PER_TIMEOUT):
                 last_resort.cancel()
                 return
-            unchanged = unchanged + 1 if turns == self.turns else 0
+            unchanged = [
+                looks + 1 if before == turns.count else 0
+                for looks, before, turns in zip(unchanged, counts, self._turns, strict=True)
+            ]
             silent = [
                 looks + 1 if before is not None and before == sign() else 0
                 for looks, before, sign in zip(silent, signs, self._worker_signs, strict=True)
             ]
-        reason = (
-            f'watchdog: no turn of the executor for {self._timeout:g} s, {_place()}'
-            if unchanged >= _LOOKS_PER_TIMEOUT
-            else f'watchdog: no sign of a thread of the node for {worker_timeout:g} s'
-        )
+        if max(unchanged) >= _LOOKS_PER_TIMEOUT:
+            stuck = self._turns[unchanged.index(max(unchanged))]
+            whose = f' of {stuck.node}' if len(self._turns) > 1 else ''
+            reason = (
+                f'watchdog: no turn of the executor{whose} for {self._timeout:g} s, '
+                f'{_place(stuck.thread)}'
+            )
+        else:
+            reason = f'watchdog: no sign of a thread of the node for {worker_timeout:g} s'
         leave(STUCK, reason, partial(self._on_stuck, reason))
 
 
-def _place() -> str:
-    """Say where the main thread is."""
-    frame = sys._current_frames().get(threading.main_thread().ident or 0)
+def _place(thread: int | None) -> str:
+    """Say where a thread is."""
+    frame = sys._current_frames().get(thread or 0)
     if frame is None:
         return 'not in Python'
     code = frame.f_code

@@ -493,7 +493,7 @@ def publish(self, chip, data):
         raise RuntimeError('the middleware is full')
     real(self, chip, data)
 FrameTopics.publish = publish
-sys.exit(nodes.run_node('chip_extractor'))
+sys.exit(nodes.run_executable('chip_extractor'))
 """
 
 

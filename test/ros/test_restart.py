@@ -165,7 +165,7 @@ stop.RUNNING = 1.5
 from obbhbb_ros.nodes import process
 from obbhbb_ros.nodes.obb_to_hbb import ObbToHbb
 ObbToHbb.destroy_node = lambda self: time.sleep(1_000_000)
-sys.exit(process.run(ObbToHbb, halt))
+sys.exit(process.run({'obb_to_hbb': ObbToHbb}, halt))
 """
 
 
@@ -217,7 +217,9 @@ def test_one_watchdog_watches_over_all_nodes_of_a_process(site: Site, tmp_path: 
     for name in ('obb_to_hbb', 'downlink'):
         run = read_run((tmp_path / f'{name}.json').read_bytes())
         assert (run.node, run.state, run.asked) == (f'/{name}', 'active', False)
-        assert run.ended.startswith('watchdog: no turn of the executor for 2 s, in <module>')
+        assert run.ended.startswith(
+            'watchdog: no turn of the executor of obb_to_hbb for 2 s, in <module>'
+        )
 
 
 HUNG_THREAD = """
@@ -243,7 +245,7 @@ node = Downlink(parameter_overrides=[Parameter(name, value=values[name]) for nam
 supervision = Supervision([node])
 supervision.start_nodes()
 while True:
-    supervision.watchdog.turns += 1
+    supervision.turns[0].count += 1
     rclpy.spin_once(node, timeout_sec=0.1)
 """
 
@@ -400,11 +402,12 @@ DYING = """
 import os, sys
 from obbhbb_ros.nodes.state_file import open_state_file
 state_file = open_state_file(sys.argv[1], '/n', {}, print)
+last = state_file.explain(state_file.last_stacks)
 if 'start' in sys.argv:
     state_file.begin('active')
 if 'crash' in sys.argv:
     os.kill(os.getpid(), 11)
-print(state_file.last_run.warning)
+print(last.warning)
 """
 
 
