@@ -6,13 +6,17 @@ from typing import Any
 
 from launch import LaunchDescription
 from obbhbb_ros.launching import ArgumentValue
+from obbhbb_ros.launching import NodeStart
 from obbhbb_ros.launching import argument
 from obbhbb_ros.launching import common_arguments
+from obbhbb_ros.launching import is_true
 from obbhbb_ros.launching import node
 from obbhbb_ros.launching import nodes
 from obbhbb_ros.launching import parameters_in
 from obbhbb_ros.launching import params_file
+from obbhbb_ros.launching import payload
 from obbhbb_ros.launching import state_file
+from obbhbb_ros.launching import topics_of
 
 HOME = os.environ.get('ROS_HOME') or os.path.expanduser('~/.ros')
 # Instead of a folder: use the one in the parameter files.
@@ -55,6 +59,7 @@ def generate_launch_description() -> LaunchDescription:
             ),
             *(params_file(f'{name}_params_file', name) for name in NODES),
             argument('nodes', ' '.join(CHAIN), f'which nodes to start, of {", ".join(NODES)}'),
+            argument('one_process', 'false', 'run all of them in one process'),
             *(
                 argument(
                     folder,
@@ -75,7 +80,10 @@ def _nodes(value: ArgumentValue) -> list[Any]:
     chosen = _chosen(value)
     if unknown := sorted({*chosen} - {*NODES}):
         raise ValueError(f'nodes: {", ".join(unknown)} is none of {", ".join(NODES)}')
-    return [_node(value, name) for name in chosen]
+    starts = [_start(value, name) for name in chosen]
+    if is_true(value('one_process')):
+        return [payload(value, starts)]
+    return [node(value, start) for start in starts]
 
 
 def _chosen(value: ArgumentValue) -> list[str]:
@@ -83,17 +91,14 @@ def _chosen(value: ArgumentValue) -> list[str]:
     return value('nodes').replace(',', ' ').split()
 
 
-def _node(value: ArgumentValue, name: str) -> Any:
-    """Describe a node."""
+def _start(value: ArgumentValue, name: str) -> NodeStart:
+    """Describe how a node is started."""
     parameters = [*_files(value, name), *_paths(value, name), *state_file(value, name)]
+    topics = topics_of(value, TOPICS)
     if name == 'obb_to_hbb' and 'ship_tracker' in _chosen(value):
-        return node(_behind_tracker(value), name, name, [*parameters, TRACKED], TOPICS)
-    return node(value, name, name, parameters, TOPICS)
-
-
-def _behind_tracker(value: ArgumentValue) -> ArgumentValue:
-    """Return the arguments of a node that reads the detections of `ship_tracker`."""
-    return lambda name: value('tracked_detections' if name == 'detections' else name)
+        topics['detections'] = topics['tracked_detections']
+        parameters.append(TRACKED)
+    return NodeStart(name, name, parameters, topics)
 
 
 def _files(value: ArgumentValue, name: str) -> list[str]:

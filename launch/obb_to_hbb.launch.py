@@ -2,12 +2,14 @@
 """Launch the conversion node: `ros2 launch obbhbb_ros obb_to_hbb.launch.py --show-args`."""
 
 from launch import LaunchDescription
+from obbhbb_ros.launching import NodeStart
 from obbhbb_ros.launching import argument
 from obbhbb_ros.launching import common_arguments
 from obbhbb_ros.launching import node
 from obbhbb_ros.launching import nodes
 from obbhbb_ros.launching import params_file
 from obbhbb_ros.launching import state_file
+from obbhbb_ros.launching import topics_of
 
 TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions', 'crop_sources')
 
@@ -23,10 +25,12 @@ def generate_launch_description() -> LaunchDescription:
                 lambda value: [
                     node(
                         value,
-                        'obb_to_hbb',
-                        value('name'),
-                        [value('params_file'), *state_file(value, value('name'))],
-                        TOPICS,
+                        NodeStart(
+                            'obb_to_hbb',
+                            value('name'),
+                            [value('params_file'), *state_file(value, value('name'))],
+                            topics_of(value, TOPICS),
+                        ),
                     ),
                 ]
             ),

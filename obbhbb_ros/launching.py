@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+import os
+import re
+import tempfile
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Mapping
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from typing import NamedTuple
 from typing import TypeAlias
 
 from ament_index_python.packages import get_package_share_directory
@@ -20,6 +24,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from obbhbb_ros.settings.parameter_file import read_values
+from obbhbb_ros.settings.parameter_file import yaml_value
 
 PACKAGE = 'obbhbb_ros'
 
@@ -92,13 +97,32 @@ def nodes(describe: Callable[[ArgumentValue], Iterable[Any]]) -> Any:
     return OpaqueFunction(function=at_launch)
 
 
-def node(
-    value: ArgumentValue,
-    executable: str,
-    name: str,
-    parameters: Sequence[str | Mapping[str, str]],
-    topics: Sequence[str],
-) -> Any:
+class NodeStart(NamedTuple):
+    """
+    How a node is started.
+
+    Attributes
+    ----------
+    executable, name : str
+        Executable and name of the node.
+    parameters : sequence of str or dict
+        Parameter files and parameters; a later one wins.
+    topics : mapping of str to str
+        The topic to use instead of each.
+    """
+
+    executable: str
+    name: str
+    parameters: Sequence[str | Mapping[str, str]]
+    topics: Mapping[str, str]
+
+
+def topics_of(value: ArgumentValue, topics: Sequence[str]) -> dict[str, str]:
+    """Return the topics that arguments of their names give."""
+    return {topic: value(topic) for topic in topics}
+
+
+def node(value: ArgumentValue, start: NodeStart) -> Any:
     """
     Describe a node that follows the common arguments.
 
@@ -106,30 +130,82 @@ def node(
     ----------
     value : callable
         Returns the value of an argument by its name.
-    executable, name : str
-        Executable and name of the node.
-    parameters : sequence of str or dict
-        Parameter files and parameters; a later one wins.
-    topics : sequence of str
-        Topics that an argument of the same name remaps.
+    start : NodeStart
+        The node.
 
     Raises
     ------
     FileNotFoundError
         If a parameter file does not exist; the node would start with its defaults.
     """
-    for file in parameters:
+    _require_files(start)
+    return Node(
+        executable=start.executable,
+        name=start.name,
+        parameters=list(start.parameters),
+        remappings=list(start.topics.items()),
+        **_common(value),
+    )
+
+
+def payload(value: ArgumentValue, starts: Sequence[NodeStart]) -> Any:
+    """
+    Describe one process of several nodes that follows the common arguments.
+
+    The parameter files are for single nodes, with sections for any name. So what they say is
+    written to one file with a section for each node.
+
+    Raises
+    ------
+    OSError, ValueError
+        If a parameter file does not exist, or cannot be read.
+    """
+    descriptor, path = tempfile.mkstemp('.yaml', 'payload_')
+    with os.fdopen(descriptor, 'w', encoding='utf-8') as file:
+        for start in starts:
+            _require_files(start)
+            file.write(_section(f'/{value("namespace").strip("/")}/{start.name}', start))
+    return Node(
+        executable='payload',
+        arguments=['--nodes', *(start.executable for start in starts)],
+        parameters=[path],
+        remappings=[
+            (f'{start.name}:{topic}', other)
+            for start in starts
+            for topic, other in start.topics.items()
+        ],
+        **_common(value),
+    )
+
+
+def _common(value: ArgumentValue) -> dict[str, Any]:
+    """Return what the common arguments say of a process."""
+    return {
+        'package': PACKAGE,
+        'namespace': value('namespace'),
+        'ros_arguments': ['--log-level', value('log_level')],
+        'respawn': is_true(value('respawn')),
+        'respawn_delay': float(value('respawn_delay')),
+        'output': 'screen',
+    }
+
+
+def is_true(text: str) -> bool:
+    """Read the value of an argument that is true or false."""
+    return text.lower() in ('true', '1', 'yes', 'on')
+
+
+def _require_files(start: NodeStart) -> None:
+    """Raise FileNotFoundError if a parameter file does not exist."""
+    for file in start.parameters:
         if isinstance(file, str) and not Path(file).is_file():
             raise FileNotFoundError(f'{file}: no such parameter file')
-    return Node(
-        package=PACKAGE,
-        executable=executable,
-        name=name,
-        namespace=value('namespace'),
-        parameters=list(parameters),
-        remappings=[(topic, value(topic)) for topic in topics],
-        ros_arguments=['--log-level', value('log_level')],
-        respawn=value('respawn').lower() in ('true', '1', 'yes', 'on'),
-        respawn_delay=float(value('respawn_delay')),
-        output='screen',
-    )
+
+
+def _section(full_name: str, start: NodeStart) -> str:
+    """Write the parameters of a node as a section of a parameter file."""
+    values: dict[str, Any] = {}
+    for item in start.parameters:
+        values.update(read_values(Path(item), full_name) if isinstance(item, str) else item)
+    lines = (f'    {yaml_value(name)}: {yaml_value(item)}' for name, item in values.items())
+    return '\n'.join((f'{re.sub("/+", "/", full_name)}:', '  ros__parameters:', *lines, ''))

@@ -207,7 +207,6 @@ def _by_stand_ins(file: Path, arguments: Mapping[str, str], folder: Path) -> dic
         *,
         package: str,
         executable: str,
-        name: str,
         namespace: str,
         parameters: list[Any],
         remappings: list[tuple[str, str]],
@@ -215,9 +214,12 @@ def _by_stand_ins(file: Path, arguments: Mapping[str, str], folder: Path) -> dic
         ros_arguments: Sequence[str],
         respawn: bool,
         respawn_delay: float,
+        name: str = '',
+        arguments: Sequence[str] = (),
     ) -> Callable[[], None]:
         assert (package, output) == ('obbhbb_ros', 'screen')
-        words = [*ros_arguments, '-r', f'__node:={name}']
+        words = [*arguments, *ros_arguments]
+        words += ['-r', f'__node:={name}'] if name else []
         words += ['-r', f'__ns:=/{namespace.lstrip("/")}']
         for path in parameters:
             if isinstance(path, str):

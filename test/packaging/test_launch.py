@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What each launch file starts: executables, names, parameter files, remaps, DDS profile."""
 
+import math
 from pathlib import Path
 
 import pytest
 from launch_files import launched
+
+from obbhbb_ros.settings.parameter_file import read_values
 
 ROOT = Path(__file__).parents[2]
 CONVERTER = ROOT / 'launch' / 'obb_to_hbb.launch.py'
@@ -105,7 +108,7 @@ def test_every_argument_of_the_downlink_applies(tmp_path: Path) -> None:
         **{f'{name}_params_file': str(file) for name, file in files.items()},
     }
     ran = launched(DOWNLINK, given)
-    assert set(ran.declared) == set(given)
+    assert set(ran.declared) == {*given, 'one_process'}
     assert [node.executable for node in ran.started] == sorted(NODES)
     for node in ran.started:
         itself = {'__node': node.executable, '__ns': '/payload'}
@@ -126,6 +129,39 @@ def test_each_node_can_be_launched_alone(name: str) -> None:
     assert node.executable == node.remaps['__node'] == name
     assert node.values('--params-file') == [f'config/{name}.yaml']
     assert node.respawn
+
+
+def test_nodes_in_one_process_have_their_own_parameters_and_topics(tmp_path: Path) -> None:
+    file = tmp_path / 'mission.yaml'
+    file.write_text('/**/obb_to_hbb: {ros__parameters: {q: .inf, crop: {padding: 0.25}}}\n')
+    given = {
+        'one_process': 'true',
+        'nodes': 'ship_tracker obb_to_hbb chip_extractor downlink',
+        'namespace': 'sat',
+        'params_file': str(file),
+        'spool': '/data/spool',
+        'state': '/data/state',
+        'image': '/camera',
+    }
+    (process,) = launched(DOWNLINK, given).started
+    nodes = given['nodes'].split()
+    assert process.executable == 'payload'
+    assert process.respawn
+    assert process.arguments[: len(nodes) + 1] == ['--nodes', *nodes]
+    assert process.remaps['__ns'] == '/sat'
+    assert '__node' not in process.remaps
+    assert process.remaps['chip_extractor:image'] == '/camera'
+    assert process.remaps['obb_to_hbb:detections'] == 'tracked_detections'
+    assert process.remaps['ship_tracker:detections'] == 'detections'
+    (merged,) = map(Path, process.values('--params-file'))
+    values = {name: read_values(merged, f'/sat/{name}') for name in nodes}
+    assert (values['obb_to_hbb']['q'], values['obb_to_hbb']['crop.padding']) == (math.inf, 0.25)
+    assert values['obb_to_hbb']['s'] == 1.0
+    assert values['downlink']['spool.path'] == values['chip_extractor']['spool.path']
+    assert 'spool.path' not in values['obb_to_hbb']
+    assert {name: values[name]['state.path'] for name in nodes} == {
+        name: f'/data/state/sat/{name}.json' for name in nodes
+    }
 
 
 def test_the_conversion_reads_what_the_tracker_publishes() -> None:
