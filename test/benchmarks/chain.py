@@ -3,21 +3,25 @@
 What the whole chain takes: processor time, memory, and latency from an image to its chips.
 
 A camera of 1024 x 1024 colour pixels and a detector of 20 ships at 10 Hz; the four nodes, each in
-a process of its own, with a spool and an outbox. With `--against` another checkout of the package
-runs in turn with this one. `python test/benchmarks/chain.py --help`
+a process of its own and then all in one, in turn, with a spool and an outbox. With `--against`
+another checkout of the package runs in turn with this one instead.
+`python test/benchmarks/chain.py --help`
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 import tempfile
 import time
 from array import array
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -68,10 +72,28 @@ def pss_megabytes(process: NodeProcess) -> float:
     return next(int(line.split()[1]) for line in lines if line.startswith('Pss:')) / 1024
 
 
+def process_of_all(
+    folder: Path, namespace: str, parameters: Mapping[str, Mapping[str, Any]]
+) -> NodeProcess:
+    """Start all nodes in one process."""
+    folder.mkdir()
+    file = folder / 'parameters.yaml'
+    sections = {
+        f'{namespace}/{node}': {
+            'ros__parameters': {name: plain(value) for name, value in given.items()}
+        }
+        for node, given in parameters.items()
+    }
+    # JSON is YAML.
+    file.write_text(json.dumps(sections))
+    command = [sys.executable, '-m', 'obbhbb_ros.nodes', 'payload', '--nodes', *NODES]
+    return NodeProcess(command, namespace=namespace, arguments=['--params-file', str(file)])
+
+
 class MeasuredChain(ExitStack):
     """The nodes of a checkout, and what feeds them."""
 
-    def __init__(self, site: Site, checkout: Path, folder: Path) -> None:
+    def __init__(self, site: Site, checkout: Path, folder: Path, one_process: bool) -> None:
         super().__init__()
         self.outbox = folder / 'outbox'
         namespace = f'/chain_{os.getpid()}_{folder.name}'
@@ -87,10 +109,15 @@ class MeasuredChain(ExitStack):
         )
         # `python -m` looks for the package here before anywhere else.
         os.chdir(checkout)
-        self.processes = [
-            self.enter_context(NodeProcess(node, namespace=namespace, parameters=parameters[node]))
-            for node in NODES
-        ]
+        started = (
+            [process_of_all(folder, namespace, parameters)]
+            if one_process
+            else [
+                NodeProcess(node, namespace=namespace, parameters=parameters[node])
+                for node in NODES
+            ]
+        )
+        self.processes = [self.enter_context(process) for process in started]
         self._image, self._message = image_bytes(), bytearray(detector_message(SHIPS, SIDE))
         self._images = self._peer.publisher(Image, 'image', QoSProfile(depth=100))
         self._detections = self._peer.publisher(Detection2DArray, 'detections')
@@ -133,7 +160,8 @@ class MeasuredChain(ExitStack):
         first, last = np.nanmedian(np.array(latencies), axis=0)
         delivered = (self._files_delivered() - files) / count
         pss = sum(map(pss_megabytes, self.processes))
-        return [*spent, sum(spent), pss, float(first), float(last), delivered]
+        by_node = spent if len(spent) == len(NODES) else [float('nan')] * len(NODES)
+        return [*by_node, sum(spent), pss, float(first), float(last), delivered]
 
     def _files_delivered(self) -> int:
         return sum(1 for _ in self.outbox.glob('*/*.jpg'))
@@ -146,18 +174,21 @@ def main() -> None:
     parser.add_argument('--rounds', type=int, default=3)
     parser.add_argument('--seconds', type=float, default=8.0, help='of each round')
     options = parser.parse_args()
-    checkouts = [ROOT, *([options.against.resolve()] if options.against else [])]
-    rows: dict[Path, list[list[float]]] = {checkout: [] for checkout in checkouts}
+    # By heading: the checkout, and whether all nodes are in one process.
+    ways = {'four processes': (ROOT, False), 'one process': (ROOT, True)}
+    if options.against:
+        against = options.against.resolve()
+        ways = {str(checkout): (checkout, False) for checkout in (ROOT, against)}
+    rows: dict[str, list[list[float]]] = {way: [] for way in ways}
     with site_at() as site, tempfile.TemporaryDirectory() as scratch:
         for i in range(options.rounds):
-            for checkout in checkouts:
-                folder = Path(scratch) / f'round{i}{checkouts.index(checkout)}'
-                with MeasuredChain(site, checkout, folder) as chain:
-                    rows[checkout].append(chain.measure(options.seconds))
-    columns = [map(spread, zip(*rows[checkout], strict=True)) for checkout in checkouts]
+            for k, (way, (checkout, one_process)) in enumerate(ways.items()):
+                folder = Path(scratch) / f'round{i}{k}'
+                with MeasuredChain(site, checkout, folder, one_process) as chain:
+                    rows[way].append(chain.measure(options.seconds))
+    columns = [map(spread, zip(*rows[way], strict=True)) for way in ways]
     print(f'{SHIPS} ships at 10 Hz, {options.rounds} rounds of {options.seconds:g} s: median (all)')
-    head = ('', *(str(checkout) for checkout in checkouts))
-    print(text_table(head, list(zip(FIGURES, *columns, strict=True))))
+    print(text_table(('', *ways), list(zip(FIGURES, *columns, strict=True))))
 
 
 def spread(values: tuple[float, ...]) -> str:
