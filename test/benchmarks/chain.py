@@ -79,13 +79,10 @@ def process_of_all(
     folder.mkdir()
     file = folder / 'parameters.yaml'
     sections = {
-        f'{namespace}/{node}': {
-            'ros__parameters': {name: plain(value) for name, value in given.items()}
-        }
-        for node, given in parameters.items()
+        f'{namespace}/{node}': {'ros__parameters': given} for node, given in parameters.items()
     }
     # JSON is YAML.
-    file.write_text(json.dumps(sections))
+    file.write_text(json.dumps(sections, default=str))
     command = [sys.executable, '-m', 'obbhbb_ros.nodes', 'payload', '--nodes', *NODES]
     return NodeProcess(command, namespace=namespace, arguments=['--params-file', str(file)])
 

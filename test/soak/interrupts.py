@@ -26,12 +26,22 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from harness import Site
 from harness import site_at
 
-EXECUTABLES = ('obb_to_hbb', 'chip_extractor', 'overlay', 'play_detections', 'ship_tracker')
+# The parameters that have no default, by executable.
+EXECUTABLES = {
+    'obb_to_hbb': {},
+    'chip_extractor': {},
+    'downlink': {'spool.path': 'spool', 'outbox.path': 'outbox'},
+    'overlay': {},
+    'ship_tracker': {},
+    'play_detections': {},
+    'payload': {'downlink:spool.path': 'spool', 'downlink:outbox.path': 'outbox'},
+}
 
 
 def interrupted(site: Site, executable: str, source: random.Random) -> str:
     """Start a node, interrupt it twice, and return how it ended."""
-    with site.start(executable) as process:
+    folders = {name: site.folder / folder for name, folder in EXECUTABLES[executable].items()}
+    with site.start(executable, parameters=folders) as process:
         time.sleep(source.uniform(0.0, 2.0))
         early = not process.has_signals_in_hand
         process.send_signal(signal.SIGINT)
