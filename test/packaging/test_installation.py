@@ -20,6 +20,7 @@ SHARE = [
     'obbhbb_ros/config/ship_tracker.yaml',
     'obbhbb_ros/config/paper.yaml',
     'obbhbb_ros/config/diagnostic_aggregator.yaml',
+    'obbhbb_ros/config/fastdds.xml',
     'obbhbb_ros/config/fastdds_large.xml',
     'obbhbb_ros/config/fastdds_nodes.xml',
     'obbhbb_ros/config/foxglove_layout.json',

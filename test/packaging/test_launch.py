@@ -2,6 +2,7 @@
 """What each launch file starts: executables, names, parameter files, remaps, DDS profile."""
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -256,3 +257,13 @@ def test_every_launch_file_is_tested_here() -> None:
 def test_an_unknown_node_is_refused() -> None:
     with pytest.raises((ValueError, AssertionError), match='nodes: overlays is none of obb_to_hbb'):
         launched(DOWNLINK, {'nodes': 'downlink overlays'})
+
+
+def test_every_dds_profile_makes_the_same_announcements() -> None:
+    files = sorted((ROOT / 'config').glob('fastdds*.xml'))
+    announcements = {
+        re.search(r' *<discovery_config>.*</discovery_config>\n', file.read_text(), re.DOTALL)[0]
+        for file in files
+    }
+    assert len(files) == 3
+    assert len(announcements) == 1
