@@ -51,11 +51,12 @@ def new_chip(
     size: int = 300,
     stamp: tuple[int, int] = (5, 0),
     class_id: str = 'ship',
+    object_id: str = '',
     **facts: Any,
 ) -> NewChip:
     """Make a chip whose file tells its value."""
     data = f'{value}'.encode().ljust(size, b'.')
-    return NewChip(value, class_id, stamp, FACTS | facts, data)
+    return NewChip(value, class_id, stamp, FACTS | facts, data, object_id)
 
 
 def store(

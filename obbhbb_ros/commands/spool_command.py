@@ -9,12 +9,15 @@ from argparse import ArgumentParser
 from argparse import Namespace
 from collections.abc import Callable
 from collections.abc import Iterable
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
+from obbhbb_ros.spool.books import Status
 from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.console import ANY_CHIP
 from obbhbb_ros.spool.console import ChipFilter
+from obbhbb_ros.spool.console import ObjectSummary
 from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.salvage import intact_chips
 from obbhbb_ros.study import spools
@@ -25,6 +28,7 @@ _ALL = 2**63 - 1
 _OF_ONE_ACTION = {
     'limit': 'list',
     'json': 'list',
+    'by_object': 'list',
     'to': 'revalue',
     'by': 'revalue',
     'output': 'export',
@@ -76,6 +80,12 @@ def add_spool_options(parser: ArgumentParser) -> None:
         help=f'list: maximum number of chips (0: all); default: {_CHIPS_LISTED}',
     )
     add('--json', action='store_true', help='list: print JSON')
+    add(
+        '--objects',
+        dest='by_object',
+        action='store_true',
+        help='list: one line for each known ship of which chips wait',
+    )
     add('--to', type=float, metavar='V', help='revalue: the new value')
     add('--by', type=float, metavar='F', help='revalue: factor on the value, 0 or more')
     add('-o', '--output', type=Path, help=f'export: folder to write to; default: {_EXPORTED}')
@@ -86,7 +96,8 @@ def run_spool(options: Namespace) -> int:
     for name, action in _OF_ONE_ACTION.items():
         value = getattr(options, name)
         if action != options.action and value is not None and value is not False:
-            raise ValueError(f'{options.action}: takes no --{name}, it is for {action}')
+            option = 'objects' if name == 'by_object' else name
+            raise ValueError(f'{options.action}: takes no --{option}, it is for {action}')
     if (options.limit or 0) < 0:
         raise ValueError(f'--limit must be 0 or more, not {options.limit}')
     if math.isnan(options.min_value) or math.isnan(options.max_value):
@@ -110,11 +121,25 @@ def _list_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) ->
     """Show the books, and the chips that are released next."""
     # Larger numbers do not fit into SQL.
     limit = _CHIPS_LISTED if options.limit is None else min(options.limit or _ALL, _ALL)
-    shown, status = console.select(chips, limit), console.status()
+    status = console.status()
+    if options.by_object:
+        _list_objects(console.objects(chips, limit), status, options)
+        return
+    shown = console.select(chips, limit)
     if options.json:
         print(json.dumps(spools.as_json(status, shown), indent=1, ensure_ascii=False))
     else:
         print(spools.status_text(status) + '\n\n' + spools.chip_table(shown, status.fade))
+
+
+def _list_objects(objects: Sequence[ObjectSummary], status: Status, options: Namespace) -> None:
+    """Show the books, and the ships whose chips are released next."""
+    if options.json:
+        listed = spools.objects_as_json(objects, status.fade)
+        books = {**spools.as_json(status, ()), 'objects': listed}
+        print(json.dumps(books, indent=1, ensure_ascii=False))
+    else:
+        print(spools.status_text(status) + '\n\n' + spools.object_table(objects, status.fade))
 
 
 def _check_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from itertools import chain
 from itertools import islice
 from typing import Any
+from typing import NamedTuple
 
 from obbhbb_ros.spool.access import SpoolAccess
 from obbhbb_ros.spool.books import Books
@@ -96,6 +97,14 @@ class ChipFilter:
 ANY_CHIP = ChipFilter()
 
 
+class ObjectSummary(NamedTuple):
+    """A ship of which chips wait: its best chip, how many there are, how many were released."""
+
+    best: StoredChip
+    views: int
+    released: int
+
+
 class SpoolConsole(SpoolAccess):
     """Lists, revalues and deletes the chips of a spool while others write and release."""
 
@@ -108,6 +117,30 @@ class SpoolConsole(SpoolAccess):
                 in_order(rows, fade, state, where, values) for state in _STATES
             )
             return list(islice(listed, None if limit < 0 else limit))
+
+    def objects(self, chips: ChipFilter = ANY_CHIP, limit: int = -1) -> list[ObjectSummary]:
+        """List known ships of which chips wait, by the rank of their best ones."""
+        where, values = chips.sql()
+        known = f'object IS NOT NULL AND {where}'
+        best: dict[int | None, StoredChip] = {}
+        with self._catalogue.transaction() as rows:
+            fade = Books.read(rows).fade
+            for chip in in_order(rows, fade, f'state = {ChipState.WAITING}', known, values):
+                if len(best) == limit:
+                    break
+                best.setdefault(chip.object, chip)
+            views = dict(
+                rows.execute(
+                    f'SELECT object, count(*) FROM chips WHERE state < 2 AND {known} '
+                    'GROUP BY object',
+                    values,
+                ).fetchall()
+            )
+            released = dict(rows.execute('SELECT object, released FROM objects').fetchall())
+        return [
+            ObjectSummary(chip, views.get(key, 0), released.get(key, 0))
+            for key, chip in best.items()
+        ]
 
     def files(self, chips: Iterable[StoredChip]) -> Iterator[tuple[StoredChip, bytes]]:
         """Read the files of chips, without those that are in the outbox already."""

@@ -17,6 +17,7 @@ from obbhbb_ros.spool.catalogue import SpoolDamagedError
 from obbhbb_ros.spool.catalogue import catalogue_files
 from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.chip_rows import describe_intact
+from obbhbb_ros.spool.console import ObjectSummary
 from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.study.progress import note
@@ -51,7 +52,8 @@ def status_text(status: Status) -> str:
 
     lines = [
         f'planned    {status.counts.get("planned", 0)}',
-        f'waiting    {status.waiting} ({status.waiting_bytes / 1e6:.1f} MB)',
+        f'waiting    {status.waiting} ({status.waiting_bytes / 1e6:.1f} MB)'
+        + (f', of {status.objects_waiting} known ships' * bool(status.objects_waiting)),
         f'in outbox  {status.in_outbox}',
         f'delivered  {status.counts.get("delivered", 0)}',
         f'evicted    {reasons("evicted")}',
@@ -76,6 +78,26 @@ def chip_table(chips: Iterable[StoredChip], fade: float) -> str:
         else:
             rows.append((printable(str(chip.id)), 'damaged', '', '', '', _state(chip)))
     return '\n'.join(aligned(rows, left=(0, 1, 5)))
+
+
+def object_table(objects: Iterable[ObjectSummary], fade: float) -> str:
+    """Write ships as a table, in the order of the ranks of their best chips."""
+    rows = [('ship', 'class', 'chips', 'released', 'best value', 'rank')]
+    for each in objects_as_json(objects, fade):
+        numbers = f'{each["views"]}', f'{each["released"]}', f'{each["value"]:.4g}'
+        text = printable(str(each['object']))
+        rows.append((text, printable(each['class_id']), *numbers, f'{each["rank"]:.4g}'))
+    return '\n'.join(aligned(rows, left=(0, 1)))
+
+
+def objects_as_json(objects: Iterable[ObjectSummary], fade: float) -> list[dict[str, Any]]:
+    """Return ships for a JSON file, but those whose best chip is damaged."""
+    keys = ('object', 'id', 'class_id', 'value', 'rank')
+    return [
+        {key: described.get(key) for key in keys} | {'views': each.views, 'released': each.released}
+        for each in objects
+        if 'damaged' not in (described := _described(each.best, fade))
+    ]
 
 
 def as_json(status: Status, chips: Iterable[StoredChip]) -> Mapping[str, Any]:

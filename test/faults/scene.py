@@ -53,7 +53,10 @@ class Scene:
         frame = self.writer.plan(5)
         self.writer.store(
             frame,
-            [new_chip(0.1 * i, 3000, (5, i), camera=CAMERA) for i in range(4)],
+            [
+                new_chip(0.1 * i, 3000, (5, i), object_id=f'a-{i // 2}', camera=CAMERA)
+                for i in range(4)
+            ],
             {'encoder_failed': 1},
         )
         self.steps(2)
@@ -63,9 +66,9 @@ class Scene:
         self.writer.store(
             frame,
             [
-                new_chip(0.9, 3000, camera=CAMERA),
-                new_chip(0.8, 3000, camera=CAMERA | {'model': 'equidistant'}),
-                new_chip(0.0, 40_000),
+                new_chip(0.9, 3000, object_id='a-1', camera=CAMERA),
+                new_chip(0.8, 3000, object_id='a-1', camera=CAMERA | {'model': 'equidistant'}),
+                new_chip(0.0, 40_000, object_id='a-0'),
             ],
             {},
             100_000.0,
@@ -117,7 +120,8 @@ class Scene:
         self.steps(1)
         status = self.writer.status()
         assert status.balance == 0, status
-        assert status.waiting == status.in_outbox == 0, status
+        assert status.waiting == status.in_outbox == status.objects_waiting == 0, status
+        assert status.counts.get('objects_released', 0) == self._objects_down(), status
         down = self._down()
         assert {Path(each).stem for each, n in down.items() if n > 1} <= may_come_twice, down
         assert len(down) == status.counts.get('delivered', 0), status
@@ -138,6 +142,11 @@ class Scene:
                 named.add((described['camera'] or {}).get('id'))
         assert named - {None} <= cameras, named - cameras
         return down
+
+    def _objects_down(self) -> int:
+        """Count the ships on the ground."""
+        described = (json.loads(path.read_text()) for path in self.ground.glob('*.json'))
+        return len({each['object'] for each in described if 'object' in each})
 
     def close(self) -> None:
         """Close both."""

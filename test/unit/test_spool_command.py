@@ -396,3 +396,42 @@ def test_any_limit_from_0_is_one(folder, capsys) -> None:
         assert run(folder, 'list', *words) == 1
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith('obbhbb: --')
+
+
+@pytest.fixture
+def ships(tmp_path):
+    """Make a spool: two chips of one ship, one of another, one of none; one was released."""
+    made = tmp_path / 'ships'
+    spool = SpoolUsers(made, print)
+    objects = ('a-1', 'a-1', 'a-1', 'a-2', '')
+    chips = [
+        new_chip(value, object_id=object_id)
+        for value, object_id in zip((0.9, 0.8, 0.7, 0.5, 0.4), objects, strict=True)
+    ]
+    spool.writer.store(spool.writer.plan(5), chips, {})
+    ((chip, _),) = spool.releaser.claim(1, ALL, ALL, 0).chips
+    spool.releaser.released([chip.id], is_delivered=True)
+    spool.close()
+    return made
+
+
+def test_ships_are_listed_by_their_best_chips(ships, capsys) -> None:
+    assert run(ships, 'list', '--objects') == 0
+    books, table = capsys.readouterr().out.split('\n\n')
+    assert 'waiting    4 (0.0 MB), of 2 known ships' in books.splitlines()
+    assert [row.split() for row in table.splitlines()[1:]] == [
+        ['a-2', 'ship', '1', '0', '0.5', '0.5'],
+        ['a-1', 'ship', '2', '1', '0.8', '0.08'],
+    ]
+    assert run(ships, 'list', '--objects', '--json', '--limit', '1') == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert [(each['object'], each['views']) for each in shown['objects']] == [('a-2', 1)]
+    assert (shown['objects_waiting'], shown['counts']['objects_released']) == (2, 1)
+
+
+def test_chips_of_a_ship_are_revalued_and_deleted(ships, capsys) -> None:
+    assert run(ships, 'revalue', '--object', 'a-1', '--by', '10') == 0
+    assert values(ships) == [8.0, 0.5, 0.4, 7.0]
+    assert run(ships, 'delete', '--object', 'a-1') == 0
+    assert capsys.readouterr().out == '2 chips revalued\n2 chips deleted\n'
+    assert values(ships) == [0.5, 0.4]
