@@ -164,8 +164,11 @@ class SpoolReleaser(SpoolAccess):
     def ids(self, state: int) -> set[str]:
         """Return the ids of the chips in a state."""
         with self._catalogue.transaction() as rows:
-            ids = rows.execute('SELECT id FROM chips WHERE state = ?', (state,))
-            return {chip_id for (chip_id,) in ids}
+            rows.execute('SELECT id FROM chips WHERE state = ?', (state,))
+            ids = [chip_id for (chip_id,) in rows.fetchall()]
+            if len(ids) < Books.read(rows).held[state][0]:
+                raise sqlite3.DatabaseError('chips are not in its index')
+            return set(ids)
 
     def outbox(self) -> str:
         """Return the token of the outbox that chips are released into; empty before the first."""

@@ -20,6 +20,7 @@ from spooled import store
 from obbhbb_ros.spool.books import Books
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.catalogue import catalogue_files
+from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import describe_intact
 from obbhbb_ros.spool.console import ANY_CHIP
 from obbhbb_ros.spool.salvage import intact_chips
@@ -98,6 +99,29 @@ def test_damage_of_an_index_alone_costs_no_chip(spool, tmp_path, troubles, place
     assert len(claimed) == 1000
     assert (status.set_aside, status.balance, status.counts['restored']) == (0, 0, 1)
     assert spool.console.integrity() == []
+
+
+@pytest.mark.parametrize('state', [ChipState.WAITING, ChipState.CLAIMED, ChipState.RELEASED])
+def test_chips_that_an_index_does_not_list_are_delivered(spool, tmp_path, troubles, state) -> None:
+    store(spool.writer, [0.5])
+    if state:
+        (chip,) = [chip.id for chip, _ in spool.releaser.claim(1, 1e9, 1e9, 0).chips]
+        if state == ChipState.RELEASED:
+            spool.releaser.released([chip], is_delivered=False)
+    spool.close()
+    with database(tmp_path / 'spool') as rows:
+        rows.execute('PRAGMA writable_schema = ON')
+        where = "FROM sqlite_master WHERE name = 'chips_in_order'"
+        ((sql,),) = rows.execute(f'SELECT sql {where}')
+        # An index of no chip takes its place, under its description.
+        rows.execute('DROP INDEX chips_in_order')
+        rows.execute(f'{sql} WHERE seq < 0')
+        rows.execute("UPDATE sqlite_master SET sql = ? WHERE name = 'chips_in_order'", (sql,))
+    with suppress(SpoolError):
+        spool.releaser.ids(state)
+        spool.releaser.claim(1, 1e9, 1e9, 0)
+    assert len(spool.releaser.ids(state)) == 1
+    assert spool.console.status().counts['restored'] == 1
 
 
 def flipped(content):
