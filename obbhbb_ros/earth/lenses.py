@@ -285,4 +285,6 @@ def _first_root(powers: FloatArray) -> float:
     # Of 1/s: the first coefficient is then 1 for certain, and no division overflows.
     roots = np.roots(powers)
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
+    # Roots beyond 1e300, of coefficients next to nothing, overflow.
+    real = real[real > 1e-300]
     return float(1.0 / real.max()) if real.size else np.inf

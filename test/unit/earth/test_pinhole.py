@@ -145,6 +145,11 @@ def test_what_is_no_camera_is_refused_with_the_reason(arguments, reason) -> None
         Pinhole(*arguments)
 
 
+def test_a_coefficient_next_to_nothing_is_no_distortion() -> None:
+    for d in ([-5e-324], [0, 0, 0, 0, -5e-324], [0, 0, 0, 0, 0, -5e-324]):
+        np.testing.assert_allclose(Pinhole(K, d).rays(grid()), Pinhole(K).rays(grid()))
+
+
 @pytest.mark.parametrize('model', ['', 'none', 'plumb_bob'])
 def test_without_distortion_the_model_does_not_matter(model) -> None:
     assert (Pinhole(K, [0.0] * 14, model).rays(grid()) == Pinhole(K).rays(grid())).all()
