@@ -15,6 +15,7 @@ import argparse
 import os
 import random
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -47,13 +48,16 @@ def interrupted(site: Site, executable: str, source: random.Random) -> str:
         process.send_signal(signal.SIGINT)
         time.sleep(source.uniform(0.0, 0.05))
         process.send_signal(signal.SIGINT)
-        code = process.wait()
+        try:
+            code = process.wait()
+        except subprocess.TimeoutExpired:
+            code = None
     if early:
         return 'before the first line'
     loud = [line for line in process.log.splitlines() if '[INFO]' not in line]
     if code == 0 and not loud:
         return 'clean'
-    print(f'{executable}: exit code {code}\n{process.log}', file=sys.stderr)
+    print(f'{executable}: exit code {code}; None: it hung\n{process.log}', file=sys.stderr)
     return 'unclean'
 
 
