@@ -116,8 +116,7 @@ class NodeProcess(Closing):
             executable = [sys.executable, '-m', 'obbhbb_ros.nodes', executable]
         command = [*executable, '--ros-args']
         for name, value in (parameters or {}).items():
-            plain = str(value) if isinstance(value, Path) else value
-            command += ['-p', f'{name}:={yaml_value(plain)}']
+            command += ['-p', f'{name}:={yaml_value(plain(value))}']
         if namespace:
             command += ['-r', f'__ns:={namespace}']
         self.path = log
@@ -173,6 +172,37 @@ class NodeProcess(Closing):
         except subprocess.TimeoutExpired:
             self._process.kill()
             return self.wait()
+
+
+def payload_process(
+    folder: Path,
+    namespace: str,
+    parameters: Mapping[str, Mapping[str, Any]],
+    command: Sequence[str] = (sys.executable, '-m', 'obbhbb_ros.nodes', 'payload'),
+) -> NodeProcess:
+    """
+    Start `payload` with nodes that have parameters, by executable.
+
+    Parameter file and log are written to the folder.
+    """
+    folder.mkdir(exist_ok=True)
+    file = folder / 'payload.yaml'
+    with file.open('w', encoding='utf-8') as stream:
+        for name, values in parameters.items():
+            print(f'{namespace}/{name}:\n  ros__parameters:', file=stream)
+            for key, item in values.items():
+                print(f'    {yaml_value(key)}: {yaml_value(plain(item))}', file=stream)
+    return NodeProcess(
+        [*command, '--nodes', *parameters],
+        folder / 'payload.log',
+        ['--params-file', str(file)],
+        namespace=namespace,
+    )
+
+
+def plain(value: Any) -> Any:
+    """Return a value that a parameter can have."""
+    return str(value) if isinstance(value, Path) else value
 
 
 class Site(NamedTuple):

@@ -11,17 +11,14 @@ another checkout of the package runs in turn with this one instead.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import tempfile
 import time
 from array import array
-from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -35,6 +32,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from harness import NodeProcess
 from harness import Peer
 from harness import Site
+from harness import payload_process
 from harness import site_at
 from ships import detector_message
 
@@ -72,21 +70,6 @@ def pss_megabytes(process: NodeProcess) -> float:
     return next(int(line.split()[1]) for line in lines if line.startswith('Pss:')) / 1024
 
 
-def process_of_all(
-    folder: Path, namespace: str, parameters: Mapping[str, Mapping[str, Any]]
-) -> NodeProcess:
-    """Start all nodes in one process."""
-    folder.mkdir()
-    file = folder / 'parameters.yaml'
-    sections = {
-        f'{namespace}/{node}': {'ros__parameters': given} for node, given in parameters.items()
-    }
-    # JSON is YAML.
-    file.write_text(json.dumps(sections, default=str))
-    command = [sys.executable, '-m', 'obbhbb_ros.nodes', 'payload', '--nodes', *NODES]
-    return NodeProcess(command, namespace=namespace, arguments=['--params-file', str(file)])
-
-
 class MeasuredChain(ExitStack):
     """The nodes of a checkout, and what feeds them."""
 
@@ -107,7 +90,7 @@ class MeasuredChain(ExitStack):
         # `python -m` looks for the package here before anywhere else.
         os.chdir(checkout)
         started = (
-            [process_of_all(folder, namespace, parameters)]
+            [payload_process(folder, namespace, parameters)]
             if one_process
             else [
                 NodeProcess(node, namespace=namespace, parameters=parameters[node])

@@ -8,12 +8,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from harness import Node
-from harness import NodeProcess
 from harness import Site
+from harness import payload_process
 from harness import values_of
 from lifecycle_msgs.msg import Transition
 from sensor_msgs.msg import CompressedImage
@@ -43,19 +44,17 @@ class Payload(Node):
 
     def run(self) -> None:
         """Start the process."""
-        parameters = self._folder / 'parameters.yaml'
-        parameters.write_text(
-            ''.join(
-                f'{self.namespace}/{name}:\n'
-                '  ros__parameters:\n'
-                f'    state.path: {self.state_file(name)}\n'
-                '    watchdog_timeout: 2.0\n' + FACTS[name].format(self._folder)
-                for name in CHAIN
-            )
-        )
-        log = self._folder / 'payload.log'
-        arguments = ['--params-file', str(parameters)]
-        self.process = NodeProcess(self._command, log, arguments, namespace=self.namespace)
+        spool = {'spool.path': self._folder / 'spool'}
+        facts: dict[str, dict[str, Any]] = {
+            'obb_to_hbb': {'image_width': 120, 'image_height': 100},
+            'chip_extractor': spool,
+            'downlink': spool | {'outbox.path': self._folder / 'outbox'},
+        }
+        parameters = {
+            name: {'state.path': self.state_file(name), 'watchdog_timeout': 2.0} | facts[name]
+            for name in CHAIN
+        }
+        self.process = payload_process(self._folder, self.namespace, parameters, self._command)
 
     def state_file(self, name: str) -> Path:
         return self._folder / f'{name}.json'
@@ -78,13 +77,6 @@ class Payload(Node):
         pixels = np.full((100, 120), 128, np.uint8)
         self.images.publish(image_message('mono8', pixels, message.header))
         self.detections.publish(message)
-
-
-FACTS = {
-    'obb_to_hbb': '    image_width: 120\n    image_height: 100\n',
-    'chip_extractor': '    spool.path: {0}/spool\n',
-    'downlink': '    spool.path: {0}/spool\n    outbox.path: {0}/outbox\n',
-}
 
 
 @pytest.fixture

@@ -7,6 +7,10 @@ Run conversion and chips for a long time and account for every frame and every c
 Images and detections go out at a steady rate; each frame must become boxes, a crop plan and chips:
 none lost, none sent twice, the memory of both nodes flat in the second half.
 
+    python test/soak/chain.py --minutes 60 --rate 5 --detections 20 --one-process
+
+The same with `downlink`, in one process, while chips pass through a spool and an outbox.
+
     python test/soak/chain.py --minutes 10 --encoding yuv422 --binning 2 --moving-window
 
 The window of the camera moves from image to image. Every chip must have its place on the sensor,
@@ -27,6 +31,7 @@ from collections import defaultdict
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from typing import NamedTuple
 
@@ -45,6 +50,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from harness import Peer
 from harness import Site
+from harness import payload_process
 from harness import site_at
 from harness import time_of
 from ships import detector_message
@@ -154,9 +160,9 @@ class Witness:
 
 
 class Chain(ExitStack):
-    """Both nodes, in separate processes, under a steady load."""
+    """Both nodes, in separate processes or in one, under a steady load."""
 
-    def __init__(self, site: Site, scene: Scene, detections: int) -> None:
+    def __init__(self, site: Site, scene: Scene, detections: int, folder: Path | None) -> None:
         super().__init__()
         side = scene.side
         self._scene, self.witness = scene, Witness(scene)
@@ -187,10 +193,21 @@ class Chain(ExitStack):
             'cache.max_age': 60.0,
             'codec': 'png',
         }
-        self.processes = [
-            self.enter_context(site.start(name, namespace=self._namespace, parameters=parameters))
-            for name, parameters in (('obb_to_hbb', size | reliable), ('chip_extractor', patient))
-        ]
+        parameters = {'obb_to_hbb': size | reliable, 'chip_extractor': patient}
+        self._outbox = folder / 'outbox' if folder else None
+        if folder:
+            spool = {'spool.path': folder / 'spool'}
+            patient |= spool | {'spool.max_bytes': 20e6}
+            parameters['downlink'] = spool | {'outbox.path': self._outbox}
+        started = (
+            [payload_process(folder, self._namespace, parameters)]
+            if folder
+            else [
+                site.start(name, namespace=self._namespace, parameters=values)
+                for name, values in parameters.items()
+            ]
+        )
+        self.processes = [self.enter_context(process) for process in started]
         self._message = bytearray(detector_message(detections, side))
         pixels = scene.image(0)
         step = len(pixels) // side
@@ -219,11 +236,16 @@ class Chain(ExitStack):
                 graph.count_publishers('chip/compressed')
                 and self._cameras.get_subscription_count() == 2
                 and graph.count_subscribers('crop_regions')
-                and len(self.reports) == 2
+                and {'obb_to_hbb', 'chip_extractor'} <= self.reports.keys()
             ),
             'both nodes',
         )
         self.peer.spin_to(time.monotonic() + 1.0)
+
+    def collect(self) -> None:
+        """Take the chips out of the outbox, as a bus does."""
+        for file in self._outbox.glob('*/*') if self._outbox else ():
+            file.unlink(missing_ok=True)
 
     def send(self) -> None:
         """Send a frame; its stamp is its number."""
@@ -263,7 +285,8 @@ def run(chain: Chain, rate: float, minutes: float) -> list[list[float]]:
             flush=True,
         )
 
-    chain.peer.repeat(60.0 * minutes, (1.0 / rate, chain.send), (REPORT_PERIOD, report))
+    jobs = (1.0 / rate, chain.send), (REPORT_PERIOD, report), (1.0, chain.collect)
+    chain.peer.repeat(60.0 * minutes, *jobs)
     with contextlib.suppress(TimeoutError):
         chain.peer.spin_until(chain.settled, 'the last chips', GRACE)
     # What comes twice would come now, and the reports with the last counts.
@@ -332,12 +355,17 @@ def main() -> None:
     parser.add_argument(
         '--moving-window', action='store_true', help='another part of the sensor for every image'
     )
+    parser.add_argument(
+        '--one-process', action='store_true', help='both nodes and downlink, with a spool, in one'
+    )
     options = parser.parse_args()
     scene = Scene(options.side, options.encoding, options.binning, options.moving_window)
-    with site_at() as site, Chain(site, scene, options.detections) as chain:
-        resident = run(chain, options.rate, options.minutes)
-        good = verdict(chain)
-        codes = [process.close() for process in chain.processes]
+    with site_at() as site, TemporaryDirectory() as scratch:
+        folder = Path(scratch) if options.one_process else None
+        with Chain(site, scene, options.detections, folder) as chain:
+            resident = run(chain, options.rate, options.minutes)
+            good = verdict(chain)
+            codes = [process.close() for process in chain.processes]
     growth = grown(resident)
     print(f'memory grown in the second half {growth} MB; exit codes {codes}')
     sys.exit(0 if good and not any(codes) and max(growth, default=0.0) < 2.0 else 1)
