@@ -162,19 +162,26 @@ def convert_image(
     # The area must be finite too, since COCO files contain it.
     with np.errstate(over='ignore', invalid='ignore'):
         finite = np.isfinite((xyxy[:, 2:] - xyxy[:, :2]).prod(axis=1))
-    rows = np.flatnonzero(finite)
     if in_degrees:
         xyxy = maps.boxes_in_degrees(xyxy)
+    class_ids, ids, scores, extras = labels.class_ids, labels.ids, labels.scores, labels.extras
+    convertible = boxes
+    # Most often all can be converted, and selecting them takes as long as converting them.
+    if not finite.all():
+        rows = np.flatnonzero(finite)
+        class_ids = tuple(class_ids[row] for row in rows)
+        ids = tuple(ids[row] for row in rows)
+        xyxy, scores, extras, convertible = xyxy[rows], scores[rows], extras.take(rows), boxes[rows]
     converted = ImageBoxes(
         image=labels.image,
-        xyxy=xyxy[rows],
-        class_ids=tuple(labels.class_ids[row] for row in rows),
-        ids=tuple(labels.ids[row] for row in rows),
-        scores=labels.scores[rows],
+        xyxy=xyxy,
+        class_ids=class_ids,
+        ids=ids,
+        scores=scores,
         size=labels.size,
         source=labels.source,
-        diagnostics=convert_with_diagnostics(boxes[rows], rule, caps) if diagnostics else None,
-        extras=labels.extras if len(rows) == len(finite) else labels.extras.take(rows),
+        diagnostics=convert_with_diagnostics(convertible, rule, caps) if diagnostics else None,
+        extras=extras,
     )
     left_out = {row: _reason(boxes, row) for row in np.flatnonzero(~finite).tolist()}
     bows = int(np.count_nonzero(boxes.bow))
