@@ -15,7 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from obbhbb_ros.geometry.boxes import BLOCK
 from obbhbb_ros.geometry.boxes import Defect
+from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.boxes import crossed
 from obbhbb_ros.geometry.converter import NO_CAPS
@@ -122,14 +124,11 @@ class ConvertedImage(NamedTuple):
         The reason for each row that could not.
     bows : int
         Boxes whose bow is known.
-    reordered : int
-        Boxes whose corners were not in order around them.
     """
 
     boxes: ImageBoxes
     left_out: Mapping[int, str]
     bows: int
-    reordered: int
 
 
 def convert_image(
@@ -185,8 +184,7 @@ def convert_image(
     )
     left_out = {row: _reason(boxes, row) for row in np.flatnonzero(~finite).tolist()}
     bows = int(np.count_nonzero(boxes.bow))
-    reordered = int(np.count_nonzero(crossed(labels.corners)))
-    return ConvertedImage(converted, left_out, bows, reordered)
+    return ConvertedImage(converted, left_out, bows)
 
 
 def _reason(boxes: OrientedBoxes, row: int) -> str:
@@ -207,22 +205,45 @@ def convert_labels(
     """
     done: list[ImageBoxes] = []
     reasons: Counter[str] = Counter()
-    bows = reordered = in_degrees = placed = 0
+    bows = in_degrees = placed = 0
+    reordered = _CrossedCount()
     for labels in images:
         converted = convert(labels)
         in_degrees += labels.extras.label_set.in_degrees * len(converted.boxes.class_ids)
         placed += labels.extras.label_set.placed * len(converted.boxes.class_ids)
         done.append(converted.boxes)
         bows += converted.bows
-        reordered += converted.reordered
+        reordered.add(labels.corners)
         reasons.update(converted.left_out.values())
         for row, reason in converted.left_out.items():
             report(f'{labels.source}: image {labels.image!r}: box {row + 1} left out: {reason}')
     boxes = sum(len(image.class_ids) for image in done)
     left_out = dict(reasons)
     return done, LabelTally(
-        len(done), boxes, left_out, 0, bows, reordered, in_degrees=in_degrees, placed=placed
+        len(done), boxes, left_out, 0, bows, reordered.total(), in_degrees=in_degrees, placed=placed
     )
+
+
+class _CrossedCount:
+    """Counts corners that are not in order, many at a time: images hold few boxes."""
+
+    def __init__(self) -> None:
+        self._waiting: list[FloatArray] = []
+        self._rows = self._count = 0
+
+    def add(self, corners: FloatArray) -> None:
+        """Take the corners of an image, (N, 4, 2)."""
+        self._waiting.append(corners)
+        self._rows += len(corners)
+        if self._rows >= BLOCK:
+            self.total()
+
+    def total(self) -> int:
+        """Count those that wait, and return how many there are of all."""
+        if self._waiting:
+            self._count += np.count_nonzero(crossed(np.concatenate(self._waiting)))
+            self._waiting, self._rows = [], 0
+        return int(self._count)
 
 
 def convert_file(
