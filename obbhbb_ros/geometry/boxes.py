@@ -38,6 +38,7 @@ from obbhbb_ros.geometry.corners import areas_of
 from obbhbb_ros.geometry.corners import boxes_from_quarters
 from obbhbb_ros.geometry.corners import mean_edges
 from obbhbb_ros.geometry.corners import middles_of
+from obbhbb_ros.geometry.corners import quarters_of
 
 __all__ = ['FARTHEST', 'Defect', 'FloatArray', 'OrientedBoxes']
 
@@ -218,7 +219,8 @@ class OrientedBoxes:
         """
         rows = _as_array(xywhr, 'xywhr', (5,))
         if degrees:
-            rows = rows * (1.0, 1.0, 1.0, 1.0, np.pi / 180.0)
+            with np.errstate(invalid='ignore'):
+                rows = rows * (1.0, 1.0, 1.0, 1.0, np.pi / 180.0)
         boxes = _in_blocks(rows, _boxes_of_xywhr)
         if bow is False:
             return boxes
@@ -490,8 +492,7 @@ def _in_blocks(array: FloatArray, boxes_of: Callable[[FloatArray], OrientedBoxes
 
 def _boxes_of_corners(corners: FloatArray) -> OrientedBoxes:
     """Create boxes from corners, (n, 4, 2)."""
-    # One transposed copy, so that everything below runs along contiguous memory.
-    quarters = np.multiply(corners.transpose(1, 2, 0), 0.25, order='C')
+    quarters = quarters_of(corners)
     below_large = _all_below_large(quarters)
     if below_large:
         edges = mean_edges(quarters)
@@ -566,7 +567,7 @@ def crossed(corners: ArrayLike) -> NDArray[np.bool_]:
     >>> crossed([[[0, 0], [6, 0], [6, 2], [0, 2]], [[0, 0], [6, 0], [0, 2], [6, 2]]])
     array([False,  True])
     """
-    quarters = np.multiply(_as_array(corners, 'corners', (4, 2)).transpose(1, 2, 0), 0.25)
+    quarters = quarters_of(_as_array(corners, 'corners', (4, 2)))
     with np.errstate(invalid='ignore', over='ignore'):
         return are_crossed(quarters)
 

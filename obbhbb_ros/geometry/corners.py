@@ -37,6 +37,14 @@ _SKEWED = 1 / 20
 _PAIRS = np.array(((0, 0, 0, 1, 1, 2), (1, 2, 3, 2, 3, 3)))
 
 
+def quarters_of(corners: FloatArray) -> FloatArray:
+    """Scale corners, (n, 4, 2), by 1/4, which never overflows, to shape (4, 2, n)."""
+    # One transposed copy, so that the arithmetic runs along contiguous memory. A signalling NaN,
+    # which a message may hold, would warn.
+    with np.errstate(invalid='ignore'):
+        return np.multiply(corners.transpose(1, 2, 0), 0.25, order='C')
+
+
 def areas_of(first: FloatArray, second: FloatArray) -> FloatArray:
     """Compute a quarter of the area of each box, (n,), from its half edges, (2, n) each."""
     products = first * second[::-1]

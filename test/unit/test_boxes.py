@@ -116,6 +116,26 @@ def test_a_box_that_is_none_is_marked_and_its_neighbours_are_not(row, defect) ->
     assert np.isfinite(boxes.center[[0, 2]]).all()
 
 
+def signalling_nan(*shape: int) -> np.ndarray:
+    """Make an array of a NaN that every operation reports, as only the bytes of a message have."""
+    return np.full(shape, 0x7FF0000000000001, np.uint64).view(np.float64)
+
+
+@pytest.mark.parametrize(
+    'build',
+    [
+        lambda: OrientedBoxes.from_corners(signalling_nan(1, 4, 2)),
+        lambda: OrientedBoxes.from_corners(signalling_nan(1, 4, 2), bow=True),
+        lambda: OrientedBoxes.from_polygons([signalling_nan(5, 2)]),
+        lambda: OrientedBoxes.from_xywhr(signalling_nan(1, 5)),
+        lambda: OrientedBoxes.from_xywhr(signalling_nan(1, 5), degrees=True, bow=True),
+    ],
+    ids=['corners', 'corners with bow', 'polygon', 'xywhr', 'xywhr in degrees'],
+)
+def test_a_signalling_nan_is_not_finite_and_no_warning(build) -> None:
+    assert build().defects.tolist() == [Defect.NOT_FINITE]
+
+
 def test_boxes_with_different_defects_are_told_apart_in_one_batch() -> None:
     good = [5, 5, 4, 2, 0.3]
     rows = [
