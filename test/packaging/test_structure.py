@@ -106,7 +106,7 @@ def test_no_two_modules_have_one_name_but_a_node_and_its_settings() -> None:
 
 
 # Public by their documentation, or of other packages.
-NOT_PRIVATE = {'_asdict', '_exit', '_replace', '_AckedModeParams'}
+NOT_PRIVATE = {'_asdict', '_exit', '_fields', '_replace', '_AckedModeParams'}
 
 
 def private_names(tree: ast.AST) -> Iterator[str]:

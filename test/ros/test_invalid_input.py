@@ -211,7 +211,6 @@ def polygons(polygons_node: Converter) -> Converter:
 def test_polygons_without_area_are_dropped_and_counted(polygons: Converter) -> None:
     before = polygons.counts()
     answer = polygons.convert(collection([SQUARE, *(bad for bad, _ in POINTLESS), SQUARE]))
-    assert [detection.id for detection in answer.detections] == ['0', str(1 + len(POINTLESS))]
     expected = axis_aligned(OrientedBoxes.from_polygons([SQUARE, SQUARE]))
     np.testing.assert_array_equal(rows_of(answer), expected)
     counts = polygons.counts().since(before, 'detections_dropped.')
@@ -225,7 +224,6 @@ def test_polygons_without_area_are_kept_as_no_numbers(polygons: Converter) -> No
     polygons.set({'invalid_policy': 'keep'})
     answer = polygons.convert(collection([SQUARE, *(bad for bad, _ in POINTLESS)]))
     rows = rows_of(answer)
-    assert [detection.id for detection in answer.detections] == [str(i) for i in range(len(rows))]
     np.testing.assert_array_equal(rows[:1], axis_aligned(OrientedBoxes.from_polygons([SQUARE])))
     assert np.isnan(rows[1:, :4]).all()
     assert len(rows) == 1 + len(POINTLESS)

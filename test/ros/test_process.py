@@ -406,7 +406,7 @@ from obbhbb_ros.nodes.stop import Stop
 def make_node():
     raise {error}
 
-sys.exit(run(make_node, Stop()))
+sys.exit(run({{'node': make_node}}, Stop()))
 """
 
 
