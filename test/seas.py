@@ -35,6 +35,8 @@ class Frame(NamedTuple):
         Long sides, pixels, and their angles, radians.
     truth : ndarray of int, shape (N,)
         Which ship; `FALSE_ALARM` for none.
+    share : ndarray, shape (N,)
+        How much of it is in the image, 0 to 1.
     """
 
     time: float
@@ -42,6 +44,7 @@ class Frame(NamedTuple):
     length: Floats
     angle: Floats
     truth: Ints
+    share: Floats
 
 
 @dataclass(frozen=True)
@@ -205,7 +208,8 @@ def _seen(sea: Sea, time: float, ships: _Fleet, random: np.random.Generator) -> 
     angles = angles + random.normal(0.0, np.radians(3.0), count)
     angles += np.pi * random.integers(0, 2, count)
     truth = np.append(rows, np.full(false, FALSE_ALARM))
-    return Frame(time, places[order], lengths[order], angles[order], truth[order])
+    shares = np.append(share[rows], np.ones(false))
+    return Frame(time, *(column[order] for column in (places, lengths, angles, truth, shares)))
 
 
 def _in_frame(size: complex, ships: _Fleet) -> tuple[Places, Floats, Floats]:

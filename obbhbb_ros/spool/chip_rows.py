@@ -88,7 +88,7 @@ class NewChip:
             seq,
             f'{seconds}_{nanoseconds:09d}_{tag}_{seq}',
             ChipState.WAITING,
-            self.value,
+            float(self.value),
             self.class_id,
             len(self.data),
             json.dumps(facts, ensure_ascii=False),
@@ -154,7 +154,7 @@ class StoredChip(NamedTuple):
     def revalued(self, value: float) -> StoredChip:
         """Return the chip with another value; ValueError if the facts are damaged."""
         worth = _worth(value, json.loads(self.facts))
-        return self._replace(value=value, worth=worth).with_digest()
+        return self._replace(value=float(value), worth=worth).with_digest()
 
     def rank(self, fade: float) -> float:
         """Return the rank of the chip."""
@@ -230,4 +230,5 @@ def describe_intact(chip: StoredChip, data: bytes, fade: float | None) -> dict[s
 
 def _worth(value: float, facts: Mapping[str, Any]) -> float:
     """Return the worth of a chip of some facts."""
-    return worth_of(value, facts.get('obb'), facts.get('image_size', ()))
+    # The digest is over its text, which NumPy's numbers write otherwise than those from SQLite.
+    return float(worth_of(value, facts.get('obb'), facts.get('image_size', ())))

@@ -14,6 +14,7 @@ from collections import Counter
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import settings
@@ -169,6 +170,14 @@ def test_any_text_is_kept(spool, text) -> None:
 def test_a_value_must_be_finite(value) -> None:
     with pytest.raises(ValueError, match='finite'):
         new_chip(value)
+
+
+def test_numbers_of_numpy_are_numbers(spool) -> None:
+    obb = list(np.array([5.0, 5.0, 4.0, 2.0, 0.3]))
+    given = new_chip(np.float64(0.7), 123, obb=obb, image_size=[8, 8])
+    spool.writer.store(spool.writer.plan(1), [given], {})
+    (chip,) = spool.console.select(ANY_CHIP)
+    assert chip.is_intact()
 
 
 def test_no_number_is_used_twice(spool, tmp_path, troubles) -> None:
