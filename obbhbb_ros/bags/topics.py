@@ -33,6 +33,7 @@ OUTPUT_HASH = 'RIHS01_214274120007f4a683866481336b70310268cfa107aebe9d594a6acf75
 OUTPUTS = ('boxes', 'crop_regions')
 # Topics of the nodes that hold no oriented boxes of images.
 _MADE = tuple(f'/{name}' for name in (*OUTPUTS, 'crop_sources', 'chip/detections'))
+_TRACKED = '/tracked_detections'
 CAMERA_INFO_TYPE = 'sensor_msgs/msg/CameraInfo'
 # The version of bags that Jazzy writes.
 VERSION = 9
@@ -78,7 +79,8 @@ def choose(connections: Collection[Connection], topic: str = '', camera_info: st
     connections : collection of Connection
         The topics of the bag.
     topic : str
-        The topic to convert; by default the only one that can be converted.
+        The topic to convert; by default the only one that can be converted, or the one of
+        `ship_tracker` instead of those beside it.
     camera_info : str
         The topic of `sensor_msgs/CameraInfo`; `camera_info` beside the input by default.
 
@@ -101,11 +103,11 @@ def choose(connections: Collection[Connection], topic: str = '', camera_info: st
         topic = _absolute(topic)
         candidates = [topic] if topic in possible else []
     else:
-        candidates = [name for name in possible if not name.endswith(_MADE)]
+        candidates = _untracked_left_out([name for name in possible if not name.endswith(_MADE)])
     if len(candidates) != 1:
         raise ValueError(_choice(connections, topic, candidates))
     detections = candidates[0]
-    namespace = detections.rpartition('/')[0]
+    namespace = _namespace(detections)
     outputs = tuple(f'{namespace}/{name}' for name in OUTPUTS)
     if detections in outputs:
         raise ValueError(f'{detections} cannot be converted: the boxes would have the same name')
@@ -116,6 +118,19 @@ def choose(connections: Collection[Connection], topic: str = '', camera_info: st
         _absolute(camera_info) if camera_info else f'{namespace}/camera_info',
         outputs,
     )
+
+
+def _untracked_left_out(topics: Sequence[str]) -> list[str]:
+    """Leave out what stands beside a topic of `ship_tracker`, which has the ids of ships."""
+    tracked = {_namespace(topic) for topic in topics if topic.endswith(_TRACKED)}
+    return [
+        topic for topic in topics if topic.endswith(_TRACKED) or _namespace(topic) not in tracked
+    ]
+
+
+def _namespace(topic: str) -> str:
+    """Return the namespace of a topic."""
+    return topic.rpartition('/')[0]
 
 
 def _absolute(topic: str) -> str:

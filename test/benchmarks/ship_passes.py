@@ -242,6 +242,7 @@ def _fail(trouble: str) -> None:
         raise RuntimeError(trouble)
 
 
+FORMS = ('{:.1%}', '{:.1%}', '{}', '{:.2f}')
 HEAD = ('', 'link', 'ships delivered', 'false alarms among chips', 'chips', 'MB')
 
 
@@ -261,21 +262,18 @@ def main() -> None:
                     results.setdefault((name, link), []).append(fly(seen, way, rate, Path(folder)))
     chips = [sum(len(seen.thing) for seen in sea) for sea in seas]
     print(f'synthetic: strips of {SHIPS} ships and {ROCKS} rocks, {chips} chips')
-    table = [
-        (name, link, *map(spread, zip(*rows, strict=True)))
-        for (name, link), rows in results.items()
-    ]
+    table = [(name, link, *row_of(outcomes)) for (name, link), outcomes in results.items()]
     print(text_table(HEAD, table))
     if options.plot:
         draw(results, options.plot)
 
 
-def spread(values: Sequence[float]) -> str:
-    """Write the values of all seeds: shares in percent."""
-    if isinstance(values[0], int):
-        return ' '.join(map(str, values))
-    scale = 100.0 if max(values) <= 1.0 else 1.0
-    return ' '.join(f'{scale * value:.1f}' for value in values)
+def row_of(outcomes: Sequence[Delivered]) -> list[str]:
+    """Write what came down for all seeds."""
+    return [
+        ' '.join(form.format(value) for value in values)
+        for form, values in zip(FORMS, zip(*outcomes, strict=True), strict=True)
+    ]
 
 
 def draw(results: dict[tuple[str, str], list[Delivered]], path: Path) -> None:
@@ -296,7 +294,7 @@ def draw(results: dict[tuple[str, str], list[Delivered]], path: Path) -> None:
     axes.invert_yaxis()
     axes.set(xlim=(0, 110), xlabel='ships delivered [%]')
     axes.set_title('Synthetic strip: 1000 ships, each seen nine times', loc='left')
-    axes.legend(loc='lower right')
+    figure.legend(loc='outside lower left', ncols=2, frameon=False)
     axes.spines[['top', 'right']].set_visible(False)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=100)

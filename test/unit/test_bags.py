@@ -300,6 +300,26 @@ def test_of_several_inputs_one_has_to_be_named(tmp_path: Path, run: Any) -> None
     assert found == expected(given, 'DetectionArray', '/yolo/detections', size=None)[0]
 
 
+def test_what_the_tracker_says_is_taken_instead_of_what_it_read(tmp_path: Path, run: Any) -> None:
+    tracked = Recorded('/tracked_detections', SECOND, detections('Detection2DArray', ROWS[0]))
+    topics = TOPICS | {'/tracked_detections': 'Detection2DArray'}
+    record(tmp_path / 'in', topics, [*scene(), tracked])
+    code, out, _ = run()
+    assert code == 0
+    assert out.startswith('/tracked_detections (')
+    shutil.rmtree(tmp_path / 'out')
+    assert run('--topic', 'detections')[1].startswith('/detections (')
+
+
+def test_the_tracker_of_one_camera_says_nothing_of_another(tmp_path: Path, run: Any) -> None:
+    topics = TOPICS | {'/left/tracked_detections': 'Detection2DArray'}
+    tracked = detections('Detection2DArray', ROWS[0])
+    record(
+        tmp_path / 'in', topics, [*scene(), Recorded('/left/tracked_detections', SECOND, tracked)]
+    )
+    assert 'choose one by --topic: /detections, /left/tracked_detections' in run()[2]
+
+
 @pytest.mark.parametrize('made', ['/chip/detections', '/crop_sources'])
 def test_what_the_nodes_make_of_detections_is_no_input_unless_it_is_named(
     tmp_path: Path, run: Any, made: str
