@@ -62,6 +62,7 @@ from obbhbb_ros.spool.objects import ObjectIds
 from obbhbb_ros.spool.records import recorder_of
 from obbhbb_ros.spool.writer import FrameTicket
 from obbhbb_ros.spool.writer import SpoolWriter
+from obbhbb_ros.tracking.track_ids import IdWatch
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.plans import Source
@@ -172,7 +173,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._bucket = TokenBucket(self._budget, time.monotonic())
         self._chip_topics = ChipTopics(self.topics.output, ChipStamps())
         self._spool: SpoolWriter | None = None
-        self._objects = ObjectIds()
+        self._objects, self._id_watch = ObjectIds(), IdWatch()
         self.parameters.on_change = self._set_fade
         self._spool_report: SpoolReport | None = None
         images, plans = reliable(IMAGES_KEPT), reliable(PLANS_KEPT)
@@ -197,7 +198,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         import PIL.Image  # noqa: F401
 
         self._cameras.clear()
-        self._objects = ObjectIds()
+        self._objects, self._id_watch = ObjectIds(), IdWatch()
         path = self.parameters.settings.spool_path
         if path:
             self._spool = SpoolWriter(Path(path), self._warn_of_spool)
@@ -459,9 +460,17 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         record = None
         if planned.ticket is not None:
             matching = self._matching(plan, sources)
-            name = partial(self._objects.name, now=time.monotonic())
-            record = recorder_of(image, plan, matching, codec, camera and camera.facts, name)
+            record = recorder_of(
+                image, plan, matching, codec, camera and camera.facts, self._name_objects
+            )
         yield from frame.steps(cutter.cut, link, record)
+
+    def _name_objects(self, ids: Sequence[str]) -> list[str]:
+        """Name the objects of a frame by the ids of its detections, and report doubtful ids."""
+        for doubt in self._id_watch.note(ids):
+            self.monitor.add(doubt.key, doubt.detections)
+            self.reporter.warn(doubt.key, doubt.text)
+        return self._objects.name(ids, time.monotonic())
 
     def _camera_of(self, image: WireImage) -> Camera | None:
         """Return the camera of an image, by its stamp or else the latest; None if none fits."""

@@ -83,14 +83,14 @@ class Chain(ExitStack):
         )
         return node
 
-    def store(self, scores: list[float]) -> None:
-        """Send a frame with a chip for each score."""
+    def store(self, scores: list[float], id_of_all: str = '') -> None:
+        """Send a frame with a chip for each score, with ids of their own, or one for all."""
         header = self.chips.stamp()
         rows = [(8 + i % 240, 8 + i // 240 * 20, 16, 16, 0) for i in range(len(scores))]
         plan = detections(rows)
         plan.header = header
         for i, (detection, score) in enumerate(zip(plan.detections, scores, strict=True)):
-            detection.id = f'{header.stamp.sec}.{i}'
+            detection.id = id_of_all or f'{header.stamp.sec}.{i}'
             detection.results[0].hypothesis.score = score
         self.chips.images.publish(image_message('mono8', NOISE, header))
         self.chips.plans.publish(plan)
@@ -391,6 +391,15 @@ def test_an_outbox_that_was_replaced_delivers_nothing(chain: Chain) -> None:
     chain.outbox.rename(chain.outbox.with_name('other'))
     aside.rename(chain.outbox)
     node.wait(lambda: node.counts()['spool.in_outbox'] == 2, 'it goes on')
+
+
+def test_ids_that_name_no_ship_are_counted_and_reported(chain: Chain) -> None:
+    chain.store([0.5, 0.6, 0.7], id_of_all='ship')
+    chain.chips.wait(lambda: chain.chips.warned('ids: assign'), 'the warning')
+    counts = chain.chips.counts()
+    assert counts['ids_doubtful.repeated'] == 3
+    assert counts['spool.objects_waiting'] == 1
+    assert not unexplained(counts, 'chip_extractor.md')
 
 
 def test_sources_wait_as_long_as_their_plan_and_are_counted_if_no_plan_uses_them(
