@@ -203,9 +203,12 @@ def _require_files(start: NodeStart) -> None:
 
 
 def _section(full_name: str, start: NodeStart) -> str:
-    """Write the parameters of a node as a section of a parameter file."""
+    """Write the parameters of a node, if any, as a section of a parameter file."""
     values: dict[str, Any] = {}
     for item in start.parameters:
         values.update(read_values(Path(item), full_name) if isinstance(item, str) else item)
+    if not values:
+        # ROS refuses an empty section.
+        return ''
     lines = (f'    {yaml_value(name)}: {yaml_value(item)}' for name, item in values.items())
     return '\n'.join((f'{re.sub("/+", "/", full_name)}:', '  ros__parameters:', *lines, ''))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+import operator
 import os
 import re
 import signal
@@ -179,6 +180,7 @@ def payload_process(
     namespace: str,
     parameters: Mapping[str, Mapping[str, Any]],
     command: Sequence[str] = (sys.executable, '-m', 'obbhbb_ros.nodes', 'payload'),
+    arguments: Sequence[str] = (),
 ) -> NodeProcess:
     """
     Start `payload` with nodes that have parameters, by executable.
@@ -188,14 +190,15 @@ def payload_process(
     folder.mkdir(exist_ok=True)
     file = folder / 'payload.yaml'
     with file.open('w', encoding='utf-8') as stream:
-        for name, values in parameters.items():
+        # ROS refuses empty sections.
+        for name, values in filter(operator.itemgetter(1), parameters.items()):
             print(f'{namespace}/{name}:\n  ros__parameters:', file=stream)
             for key, item in values.items():
                 print(f'    {yaml_value(key)}: {yaml_value(plain(item))}', file=stream)
     return NodeProcess(
         [*command, '--nodes', *parameters],
         folder / 'payload.log',
-        ['--params-file', str(file)],
+        ['--params-file', str(file), *arguments],
         namespace=namespace,
     )
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from typing import Literal
@@ -101,6 +102,20 @@ class ImageLabels:
             if (entries := len(getattr(self, name))) != count:
                 raise ValueError(f'{name} has {entries} entries for {count} class_ids')
         self.extras.check(self.image, count)
+
+    def take(self, rows: npt.NDArray[np.intp]) -> ImageLabels:
+        """Select labels by their row numbers."""
+        return replace(
+            self,
+            corners=self.corners[rows],
+            class_ids=tuple(self.class_ids[row] for row in rows),
+            ids=tuple(self.ids[row] for row in rows),
+            scores=self.scores[rows],
+            reference=self.reference[rows],
+            hulls=tuple(self.hulls[row] for row in rows),
+            bow=None if self.bow is None else self.bow[rows],
+            extras=self.extras.take(rows),
+        )
 
     @property
     def difficulties(self) -> list[int]:

@@ -8,10 +8,12 @@ from array import array
 from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.resources import as_file
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import Point32
@@ -36,6 +38,7 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.image_files import find_images
 from obbhbb_ros.labels.image_files import load_image
 from obbhbb_ros.labels.image_labels import BowSource
+from obbhbb_ros.labels.passes import pass_over
 from obbhbb_ros.nodes.given_parameters import report_unknown
 from obbhbb_ros.nodes.live_parameters import LiveParameters
 from obbhbb_ros.nodes.node_topics import create_output
@@ -47,6 +50,14 @@ from obbhbb_ros.wire.layouts import INPUT_TYPES
 _POLL_PERIOD = 0.1
 _QUIET_POLLS = 3
 _DEPTH = 100
+
+
+class _Frame(NamedTuple):
+    """Labels to play, the file of their image, and the row at which a window of it begins."""
+
+    labels: ImageLabels
+    file: Path | None
+    top: int | None = None
 
 
 class PlayDetections(Node):
@@ -77,7 +88,9 @@ class PlayDetections(Node):
         self._images = list(self._read(settings))
         if not self._images:
             raise ValueError(f'no image to play in {settings.path}')
-        self._files = find_images(self._images)
+        self._frames = list(self._framed(settings))
+        self._files = [frame.file for frame in self._frames]
+        self._picture: tuple[Path, str, NDArray[Any]] | None = None
         self._position = 0
         self._subscribers: list[int] = []
         self._quiet_polls = 0
@@ -109,6 +122,16 @@ class PlayDetections(Node):
         else:
             with as_file(files('obbhbb_ros') / 'data' / HARBOUR) as path:
                 yield from read_labels(path, image_size=HARBOUR_SIZE)
+
+    def _framed(self, settings: PlayerSettings) -> Iterator[_Frame]:
+        """List what is played: whole images, or the windows of a pass over each."""
+        for labels, file in zip(self._images, find_images(self._images), strict=True):
+            if not settings.pass_height:
+                yield _Frame(labels, file)
+                continue
+            sized = replace(labels, size=labels.size or _size_of(file))
+            for top, seen in pass_over(sized, settings.pass_height, settings.pass_step):
+                yield _Frame(seen, file, top)
 
     def _skip(self, error: LabelError) -> None:
         """Log and count a malformed record."""
@@ -145,15 +168,16 @@ class PlayDetections(Node):
     def _play_next(self) -> None:
         """Publish the next image's labels, or end."""
         settings = self._live_parameters.settings
-        if self._position == len(self._images):
+        if self._position == len(self._frames):
             if not settings.loop:
                 self._end()
                 return
             self._position = 0
-        labels, file = self._images[self._position], self._files[self._position]
+        frame = self._frames[self._position]
+        labels, file = frame.labels, frame.file
         self._position += 1
         header = Header(stamp=self.get_clock().now().to_msg(), frame_id=settings.frame_id)
-        image = self._read_image(file, header) if file and settings.images else None
+        image = self._read_image(frame, header) if file and settings.images else None
         size = labels.size or (image and (image.width, image.height))
         # Before the labels, because a node that plans crops needs the size first.
         if size:
@@ -162,23 +186,47 @@ class PlayDetections(Node):
         if image and self._image_publisher is not None:
             self._image_publisher.publish(image)
         for message in _MESSAGES[self._output_type.name](labels, header, settings.bow):
+            if frame.top is not None:
+                _forget_ids(message)
             self._publisher.publish(message)
 
-    def _read_image(self, file: Path, header: Header) -> Image | None:
-        """Read an image; None if it cannot be read."""
+    def _read_image(self, frame: _Frame, header: Header) -> Image | None:
+        """Read the image of a frame; None if it cannot be read."""
+        file = frame.file
+        if file is None:
+            return None
         try:
-            return image_message(*load_image(file), header)
+            if self._picture is None or self._picture[0] != file:
+                self._picture = (file, *load_image(file))
         except (ImportError, OSError, ValueError) as error:
             self.get_logger().error(f'no image: {file}: {error}', throttle_duration_sec=5.0)
             return None
+        _, encoding, pixels = self._picture
+        if frame.top is not None and frame.labels.size is not None:
+            pixels = pixels[frame.top : frame.top + frame.labels.size[1]]
+        return image_message(encoding, pixels, header)
 
     def _end(self) -> None:
         """End when everything is delivered."""
         self._publisher.wait_for_all_acked(Duration(seconds=5))
         self.get_logger().info(
-            f'played {len(self._images)} images, skipped {self._skipped} malformed records'
+            f'played {len(self._frames)} images, skipped {self._skipped} malformed records'
         )
         self.context.try_shutdown()
+
+
+def _size_of(file: Path | None) -> tuple[int, int] | None:
+    """Return width and height of an image file, if there is one."""
+    if file is None:
+        return None
+    height, width = load_image(file)[1].shape[:2]
+    return width, height
+
+
+def _forget_ids(message: Any) -> None:
+    """Clear the ids of a message that has some: a detector does not know what it sees again."""
+    for detection in getattr(message, 'detections', ()):
+        detection.id = ''
 
 
 def detections_message(

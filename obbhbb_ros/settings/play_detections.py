@@ -55,6 +55,19 @@ class PlayerSettings(CheckedSettings):
         'Also publish the images, on `image`, if they are in the folder of the labels, or in '
         'images/ beside a folder labels/. Needs Pillow.',
     )
+    pass_height: int = setting(
+        0,
+        'Play a pass of a moving camera over every image: a window of this height moves down it, '
+        'pixels. Detections have no ids then. 0: the whole image at once.',
+        _SIDE,
+        read_only=True,
+    )
+    pass_step: int = setting(
+        40,
+        'By how much that window moves from image to image, pixels.',
+        Range(1, IMAGE_SIZE_LIMIT),
+        read_only=True,
+    )
     frame_id: str = setting('camera', 'frame_id of every header.')
     image_width: int = setting(
         0, 'Width of every image, pixels. 0: from the labels or images.', _SIDE, read_only=True
