@@ -20,6 +20,7 @@ import numpy as np
 from harness import NodeProcess
 from harness import Peer
 from harness import Site
+from harness import payload_process
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 from ships import detections
@@ -31,6 +32,8 @@ from obbhbb_ros.spool.books import Status
 from obbhbb_ros.spool.console import SpoolConsole
 
 SIDE, CHIPS = 256, 100
+# As of `ship_tracker`.
+SESSION = 'c0ffee00'
 PERIOD = 0.1
 
 
@@ -40,6 +43,7 @@ class Bus:
     def __init__(self, outbox: Path) -> None:
         self._outbox = outbox
         self.taken: Counter[str] = Counter()
+        self.objects: set[str] = set()
         self.wrong: list[str] = []
         self._is_stopping = False
         self._thread = threading.Thread(target=self._work)
@@ -66,14 +70,19 @@ class Bus:
             self.wrong.append(f'{path}: {error!r}')
             return
         self.taken[facts['id']] += 1
+        self.objects.add(facts['object'])
         chip.unlink()
         path.unlink()
 
 
 class Chain(ExitStack):
-    """`chip_extractor` and `downlink` under load, with a bus that takes what comes."""
+    """
+    `chip_extractor` and `downlink` under load, with a bus that takes what comes.
 
-    def __init__(self, site: Site, folder: Path) -> None:
+    They run in a process each, or both in one.
+    """
+
+    def __init__(self, site: Site, folder: Path, one_process: bool = False) -> None:
         super().__init__()
         self._site, self._folder = site, folder
         # Not the name of the folder: two underscores in a row, which `tempfile` draws now and
@@ -88,7 +97,8 @@ class Chain(ExitStack):
         self._images = self.peer.node.create_publisher(Image, 'image', deep)
         self.sent = 0
         self.nodes: dict[str, NodeProcess] = {}
-        for name in ('chip_extractor', 'downlink'):
+        self.programs = ('payload',) if one_process else ('chip_extractor', 'downlink')
+        for name in self.programs:
             self.start(name)
         self.bus = Bus(folder / 'outbox')
         self.callback(self.bus.stop)
@@ -102,20 +112,25 @@ class Chain(ExitStack):
         )
         for i, detection in enumerate(plan.detections):
             detection.results[0].hypothesis.score = i / CHIPS
+            detection.id = f'{SESSION}-{i}'
         return plan
 
     def start(self, name: str) -> None:
-        parameters = {'spool.path': self._folder / 'spool'}
-        parameters |= (
-            {'codec': 'png', 'spool.max_bytes': 3e6}
-            if name == 'chip_extractor'
-            else {
+        spool = {'spool.path': self._folder / 'spool'}
+        parameters = {
+            'chip_extractor': spool | {'codec': 'png', 'spool.max_bytes': 3e6},
+            'downlink': spool
+            | {
                 'outbox.path': self._folder / 'outbox',
                 'acknowledge': 'removal',
                 'outbox.max_bytes': 300_000.0,
-            }
+            },
+        }
+        self.nodes[name] = (
+            payload_process(self._folder / 'payload', self._namespace, parameters)
+            if name == 'payload'
+            else self._site.start(name, namespace=self._namespace, parameters=parameters[name])
         )
-        self.nodes[name] = self._site.start(name, namespace=self._namespace, parameters=parameters)
 
     def send(self) -> None:
         """Send an image and its plan."""
@@ -168,12 +183,18 @@ class Chain(ExitStack):
 
 
 def run(
-    site: Site, folder: Path, count: int, seed: int, report: Callable[[str], Any] = print
+    site: Site,
+    folder: Path,
+    count: int,
+    seed: int,
+    report: Callable[[str], Any] = print,
+    one_process: bool = False,
 ) -> None:
     """Kill nodes until there are so many kills, and hold the books against what the bus has."""
     draw = random.Random(seed)
     kills = killed_downlinks = 0
-    with Chain(site, folder) as chain:
+    with Chain(site, folder, one_process) as chain:
+        choices = [*((name,) for name in chain.programs), chain.programs]
         while kills < count:
             before = chain.books.status().counts
             chain.run_until(
@@ -183,13 +204,11 @@ def run(
                 )
             )
             chain.run(draw.uniform(0.0, 0.4))
-            names = draw.choice(
-                [('chip_extractor',), ('downlink',), ('chip_extractor', 'downlink')]
-            )
+            names = draw.choice(choices)
             status = chain.kill(*names)
             assert status.balance == 0, status
             kills += len(names)
-            killed_downlinks += 'downlink' in names
+            killed_downlinks += names[-1] != 'chip_extractor'
             if kills % 50 < 2:
                 report(f'{kills} kills: {dict(status.counts)}')
         # The frame that the last kill interrupted is settled by the next one.
@@ -200,6 +219,8 @@ def run(
         chain.bus.stop()
     assert not chain.bus.wrong, chain.bus.wrong
     assert len(chain.bus.taken) == status.counts['delivered'], (len(chain.bus.taken), status)
+    # Every ship is in every frame.
+    assert chain.bus.objects == {f'{SESSION}-{i}' for i in range(CHIPS)}
     twice = sum(number - 1 for number in chain.bus.taken.values())
     # Those whose release was not recorded yet: a batch for each kill, at most.
     assert twice <= 16 * killed_downlinks

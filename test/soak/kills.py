@@ -29,12 +29,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument('--count', type=int, default=500)
     parser.add_argument('--seed', type=int, default=0)
+    parser.add_argument('--one-process', action='store_true', help='both nodes in one')
     options = parser.parse_args()
     # Fast DDS never frees the shared memory that a killed subscriber had not read: by default that
     # of a publisher is used up after some kills, and it cannot send any more.
     os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(PROFILE)
     with tempfile.TemporaryDirectory(prefix='kills_') as folder, site_at(Path(folder)) as site:
-        run(site, Path(folder), options.count, options.seed, lambda text: print(text, flush=True))
+        run(
+            site,
+            Path(folder),
+            options.count,
+            options.seed,
+            lambda text: print(text, flush=True),
+            options.one_process,
+        )
 
 
 if __name__ == '__main__':
