@@ -9,6 +9,7 @@ import os
 import shutil
 import signal
 import sqlite3
+import tempfile
 from collections import Counter
 from collections import deque
 from collections.abc import Callable
@@ -41,6 +42,7 @@ from rosbags.rosbag2 import storage_mcap
 from obbhbb_ros.bags.rescue import MAX_BYTES
 from obbhbb_ros.bags.rescue import MAX_METADATA_BYTES
 from obbhbb_ros.bags.rescue import decompressed
+from obbhbb_ros.bags.rescue import file_blocks
 from obbhbb_ros.bags.rescue import has_oversized_records
 from obbhbb_ros.bags.rescue import rescue
 from obbhbb_ros.bags.rescue import storage_files
@@ -272,8 +274,20 @@ def _require_bounded(source: Path) -> None:
             with path.open('rb') as stream:
                 if has_oversized_records(stream):
                     raise DamagedBagError(f'{path.name}: a record of more than {MAX_BYTES} bytes')
+        if path.suffix == '.zstd' and path.is_file():
+            _require_room(path)
     if metadata.is_file() and metadata.stat().st_size > MAX_METADATA_BYTES:
         raise DamagedBagError(f'metadata.yaml has more than {MAX_METADATA_BYTES} bytes')
+
+
+def _require_room(path: Path) -> None:
+    """Raise DamagedBagError if the disk has no room for a storage file that is compressed."""
+    with path.open('rb') as stream:
+        try:
+            for _ in file_blocks(stream, Path(tempfile.gettempdir())):
+                pass
+        except (zstandard.ZstdError, ValueError) as error:
+            raise DamagedBagError(f'{path.name}: {error}') from error
 
 
 def _bounded_chunk(compression: str, data: bytes, size: int) -> bytes:

@@ -58,6 +58,8 @@ MAX_METADATA_BYTES = 2**24
 """Maximum size of a metadata.yaml that is read, bytes."""
 # Bytes of a chunk that are decompressed at once.
 _PIECE = 256
+# What a bag that is decompressed leaves free of a disk, bytes.
+_DISK_RESERVE = 2**28
 _MCAP_MAGIC = b'\x89MCAP0\r\n'
 _RECORD_HEAD = struct.Struct('<BQ')
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
@@ -205,10 +207,39 @@ def _working_copy(path: Path, folder: Path, lose: Report) -> Path:
         return copy
     with path.open('rb') as stream, copy.open('wb') as out:
         try:
-            zstandard.ZstdDecompressor().copy_stream(stream, out)
-        except zstandard.ZstdError as error:
+            for block in file_blocks(stream, folder):
+                out.write(block)
+        except (zstandard.ZstdError, ValueError) as error:
             lose(f'{path.name}: damaged at or before byte {stream.tell()}: {error}')
     return copy
+
+
+def file_blocks(stream: BinaryIO, folder: Path) -> Iterator[bytes]:
+    """
+    Decompress a storage file, block by block.
+
+    Parameters
+    ----------
+    stream : file
+        The compressed file.
+    folder : Path
+        Where it is going to be written.
+
+    Raises
+    ------
+    ValueError
+        If it is larger than what the disk of the folder has room for.
+    zstandard.ZstdError
+        If it is damaged.
+    """
+    room, size = shutil.disk_usage(folder).free - _DISK_RESERVE, 0
+    for block in zstandard.ZstdDecompressor().read_to_iter(stream, write_size=2**20):
+        size += len(block)
+        if size > room:
+            raise ValueError(
+                f'it takes more than {max(room, 0)} bytes, for which {folder} has no room'
+            )
+        yield block
 
 
 def decompressed(data: bytes) -> bytes | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import resource
+import shutil
 import struct
 import subprocess
 import sys
@@ -151,6 +152,26 @@ def test_a_hostile_bag_ends_in_one_line(tmp_path: Path, make: Any) -> None:
     assert last.startswith('obbhbb: ')
     assert all(line.startswith('obbhbb: ') for line in before), done.stderr
     assert not (tmp_path / 'out').exists()
+
+
+def test_a_bag_for_which_the_disk_has_no_room_is_not_decompressed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip('rosbags')
+    zstandard = pytest.importorskip('zstandard')
+    folder = tmp_path / 'bag'
+    folder.mkdir()
+    (folder / 'metadata.yaml').write_text('{}')
+    packer = zstandard.ZstdCompressor().compressobj()
+    data = b''.join(packer.compress(bytes(2**20)) for _ in range(64)) + packer.flush()
+    (folder / 'a.db3.zstd').write_bytes(data)
+    # A disk with room for 32 MB besides what is to stay free of it.
+    real = shutil.disk_usage
+    monkeypatch.setattr(shutil, 'disk_usage', lambda path: real(path)._replace(free=2**28 + 2**25))
+    assert main(['bag', str(folder), str(tmp_path / 'out')]) == 1
+    told, *_, last = capsys.readouterr().err.splitlines()
+    assert 'a.db3.zstd: it takes more than 33554432 bytes' in told
+    assert last.startswith('obbhbb: ')
 
 
 def test_a_nested_metadata_is_damaged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
