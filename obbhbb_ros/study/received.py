@@ -22,6 +22,7 @@ from obbhbb_ros.files import read_bounded
 from obbhbb_ros.spool.compact_json import CAMERA_KIND
 from obbhbb_ros.spool.compact_json import camera_id
 from obbhbb_ros.spool.compact_json import with_camera
+from obbhbb_ros.spool.ranking import worth_of
 from obbhbb_ros.spool.seals import is_sealed
 from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track
@@ -72,6 +73,11 @@ class ReceivedChip:
         return nanoseconds_of(self.stamp)
 
     @property
+    def worth(self) -> float:
+        """Value, times the share of the ship that the image shows."""
+        return worth_of(self.facts['value'], self.facts['obb'], self.facts['image_size'])
+
+    @property
     def latency(self) -> int | None:
         """Nanoseconds from stamp to arrival; None if the stamp is of another clock."""
         latency = self.arrival - self.time
@@ -106,12 +112,16 @@ class Received:
         """
         Group the chips by the ship that they show, the best ship first, its best view first.
 
-        A chip that names no ship is alone. Views without a file come last.
+        A chip that names no ship is alone. Views without a file come last; a view that the border
+        of the image cuts counts less, as in the spool.
         """
         ships: dict[str | int, list[ReceivedChip]] = {}
         for number, chip in enumerate(self.chips):
             ships.setdefault(chip.facts['object'] or number, []).append(chip)
-        return [sorted(views, key=lambda view: view.size is None) for views in ships.values()]
+        return [
+            sorted(views, key=lambda view: (view.size is None, -view.worth))
+            for views in ships.values()
+        ]
 
 
 def read_received(folder: Path) -> Received:

@@ -109,6 +109,15 @@ def test_a_ship_has_one_card_with_its_best_view_and_the_others_behind_it(tmp_pat
     assert 'chips: 5, problems: 0\nships: 2\n' in capsys.readouterr().out
 
 
+def test_a_whole_view_of_a_ship_is_better_than_one_that_the_border_cuts(tmp_path) -> None:
+    ship = {'object': 'x-1', 'view': 1, 'rank': 0.1}
+    for name, value, x in (('cut', 0.9, 0.0), ('whole', 0.6, 30.0)):
+        obb = [x, 30.0, 20.0, 5.0, 0.0]
+        put(tmp_path / 'box', *a_chip(id=name, value=value, obb=obb, **ship))
+    page = gallery(tmp_path / 'box')
+    assert [Path(link['href']).stem for link in page.all('a')] == ['whole', 'cut']
+
+
 def test_the_limit_counts_ships(tmp_path) -> None:
     views_of_ships(tmp_path / 'box')
     page = gallery(tmp_path / 'box', '--limit', '2')
