@@ -21,6 +21,7 @@ from harness import NodeProcess
 from harness import Peer
 from harness import Site
 from harness import payload_process
+from harness import site_at
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 from ships import detections
@@ -88,13 +89,11 @@ class Chain(ExitStack):
         # Not the name of the folder: two underscores in a row, which `tempfile` draws now and
         # then, are no namespace.
         self._namespace = f'/kills_{os.getpid()}'
-        self.peer = self.enter_context(Peer(site.context, self._namespace))
         self._plan = self._make_plan()
         pixels = np.random.default_rng(3).integers(0, 256, (SIDE, SIDE)).astype(np.uint8)
         self._image = image_message('mono8', pixels, Header())
-        deep = QoSProfile(depth=100)
-        self._plans = self.peer.node.create_publisher(Detection2DArray, 'crop_regions', deep)
-        self._images = self.peer.node.create_publisher(Image, 'image', deep)
+        self._open_peer()
+        self.callback(self._close_peer)
         self.sent = 0
         self.nodes: dict[str, NodeProcess] = {}
         self.programs = ('payload',) if one_process else ('chip_extractor', 'downlink')
@@ -104,6 +103,28 @@ class Chain(ExitStack):
         self.callback(self.bus.stop)
         self.callback(lambda: [node.close() for node in self.nodes.values()])
         self.books = SpoolConsole(folder / 'spool', print)
+
+    def _open_peer(self) -> None:
+        """Make the peer and its publishers, in a participant of their own."""
+        self._peer_stack = ExitStack()
+        site = self._peer_stack.enter_context(site_at())
+        self.peer = self._peer_stack.enter_context(Peer(site.context, self._namespace))
+        deep = QoSProfile(depth=100)
+        self._plans = self.peer.node.create_publisher(Detection2DArray, 'crop_regions', deep)
+        self._images = self.peer.node.create_publisher(Image, 'image', deep)
+
+    def _close_peer(self) -> None:
+        self._peer_stack.close()
+
+    def renew_peer(self) -> None:
+        """
+        Replace the peer.
+
+        Fast DDS never frees the shared memory that a killed subscriber had not read: that of a
+        publisher, 64 MB, is used up after some two hundred kills, and it cannot send any more.
+        """
+        self._close_peer()
+        self._open_peer()
 
     @staticmethod
     def _make_plan() -> Any:
@@ -209,6 +230,8 @@ def run(
             assert status.balance == 0, status
             kills += len(names)
             killed_downlinks += names[-1] != 'chip_extractor'
+            if kills % 100 < len(names):
+                chain.renew_peer()
             if kills % 50 < 2:
                 report(f'{kills} kills: {dict(status.counts)}')
         # The frame that the last kill interrupted is settled by the next one.
