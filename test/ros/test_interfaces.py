@@ -37,6 +37,10 @@ RELEASED = {
         'Detection2DArray',
     ): 'RIHS01_214274120007f4a683866481336b70310268cfa107aebe9d594a6acf75bda968',
     (
+        'vision_msgs',
+        'Detection3DArray',
+    ): 'RIHS01_793f5eab9595ac1c0da07873cc859db42eae51f0ee76056db8562515d830e018',
+    (
         'polygon_msgs',
         'Polygon2DCollection',
     ): 'RIHS01_52f380704d680f7b0b1b1d7f6776178477212a5be9e54781569dc7aeec144d50',
