@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from obbhbb_ros.labels.image_labels import ImageLabels
+from obbhbb_ros.labels.image_labels import ImageSize
 
 
 def pass_over(labels: ImageLabels, height: int, step: int) -> Iterator[tuple[int, ImageLabels]]:
@@ -22,7 +23,8 @@ def pass_over(labels: ImageLabels, height: int, step: int) -> Iterator[tuple[int
     height : int
         Height of the window, pixels; it is as wide as the image.
     step : int
-        By how much it moves, pixels. It stops where it would leave the image.
+        By how much it moves, pixels, no more than `height`. Where the last step would leave the
+        image, it is a shorter one, to the end.
 
     Yields
     ------
@@ -35,16 +37,39 @@ def pass_over(labels: ImageLabels, height: int, step: int) -> Iterator[tuple[int
     Raises
     ------
     ValueError
-        If the size of the image is not known.
+        If the size of the image is not known, or a step skips rows.
     """
-    if labels.size is None:
-        raise ValueError(f'{labels.source}: image {labels.image!r}: no pass without its size')
-    width, whole = labels.size
+    if step > height:
+        raise ValueError(f'a step of {step} skips rows of the image: the window has {height}')
+    width, whole = _size(labels)
     height = min(height, whole)
     middles = labels.boxes().center[:, 1]
-    for top in range(0, whole - height + 1, step):
+    for top in _tops(whole - height, step):
         seen = labels.take(np.flatnonzero((middles >= top) & (middles < top + height)))
         yield top, _moved(seen, -float(top), (width, height))
+
+
+def inside_image(labels: ImageLabels) -> ImageLabels:
+    """
+    Return the labels that a pass sees: those whose middles are inside the image.
+
+    Raises ValueError if its size is not known.
+    """
+    middles = labels.boxes().center
+    return labels.take(np.flatnonzero(((middles >= 0.0) & (middles < _size(labels))).all(axis=1)))
+
+
+def _size(labels: ImageLabels) -> ImageSize:
+    """Return the size of the image of labels; ValueError if it is not known."""
+    if labels.size is None:
+        raise ValueError(f'{labels.source}: image {labels.image!r}: no pass without its size')
+    return labels.size
+
+
+def _tops(last: int, step: int) -> Iterator[int]:
+    """Yield the first rows of the windows, up to the last one."""
+    yield from range(0, last, step)
+    yield last
 
 
 def _moved(labels: ImageLabels, down: float, size: tuple[int, int]) -> ImageLabels:

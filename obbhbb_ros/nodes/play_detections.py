@@ -37,7 +37,10 @@ from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.image_files import find_images
 from obbhbb_ros.labels.image_files import load_image
+from obbhbb_ros.labels.image_files import size_of_file
 from obbhbb_ros.labels.image_labels import BowSource
+from obbhbb_ros.labels.image_labels import ImageSize
+from obbhbb_ros.labels.passes import inside_image
 from obbhbb_ros.labels.passes import pass_over
 from obbhbb_ros.nodes.given_parameters import report_unknown
 from obbhbb_ros.nodes.live_parameters import LiveParameters
@@ -84,7 +87,7 @@ class PlayDetections(Node):
         report_unknown(self, self._live_parameters.unknown)
         settings = self._live_parameters.settings
         self._output_type = INPUT_TYPES[settings.output_type]
-        self._skipped = 0
+        self._skipped = self._outside = 0
         self._images = list(self._read(settings))
         if not self._images:
             raise ValueError(f'no image to play in {settings.path}')
@@ -129,9 +132,33 @@ class PlayDetections(Node):
             if not settings.pass_height:
                 yield _Frame(labels, file)
                 continue
-            sized = replace(labels, size=labels.size or _size_of(file))
-            for top, seen in pass_over(sized, settings.pass_height, settings.pass_step):
+            for top, seen in pass_over(
+                self._in_sight(labels, file), settings.pass_height, settings.pass_step
+            ):
                 yield _Frame(seen, file, top)
+
+    def _in_sight(self, labels: ImageLabels, file: Path | None) -> ImageLabels:
+        """Give labels the size of their image file; leave out, and report, those outside it."""
+        size = labels.size
+        if file is not None:
+            try:
+                size = size_of_file(file)
+            except ValueError as error:
+                self.get_logger().error(f'no image: {error}')
+        if labels.size and labels.size != size:
+            self.get_logger().warning(
+                f'{file} has {_pixels(size)}, its labels say {_pixels(labels.size)}: the pass is '
+                'over the file'
+            )
+        sized = replace(labels, size=size)
+        seen = inside_image(sized)
+        if left := len(labels.class_ids) - len(seen.class_ids):
+            self._outside += left
+            self.get_logger().warning(
+                f'{labels.source}: image {labels.image!r}: {left} labels are outside it and are '
+                'not played'
+            )
+        return seen
 
     def _skip(self, error: LabelError) -> None:
         """Log and count a malformed record."""
@@ -203,7 +230,15 @@ class PlayDetections(Node):
             return None
         _, encoding, pixels = self._picture
         if frame.top is not None and frame.labels.size is not None:
-            pixels = pixels[frame.top : frame.top + frame.labels.size[1]]
+            width, height = frame.labels.size
+            pixels = pixels[frame.top : frame.top + height]
+            # The file may have changed, or its size may be written in another way than it is shown.
+            if pixels.shape[:2] != (height, width):
+                self.get_logger().error(
+                    f'no image: {file}: it has not the size that it had at the start',
+                    throttle_duration_sec=5.0,
+                )
+                return None
         return image_message(encoding, pixels, header)
 
     def _end(self) -> None:
@@ -211,16 +246,14 @@ class PlayDetections(Node):
         self._publisher.wait_for_all_acked(Duration(seconds=5))
         self.get_logger().info(
             f'played {len(self._frames)} images, skipped {self._skipped} malformed records'
+            + (f' and {self._outside} labels outside their image' if self._outside else '')
         )
         self.context.try_shutdown()
 
 
-def _size_of(file: Path | None) -> tuple[int, int] | None:
-    """Return width and height of an image file, if there is one."""
-    if file is None:
-        return None
-    height, width = load_image(file)[1].shape[:2]
-    return width, height
+def _pixels(size: ImageSize | None) -> str:
+    """Write a size."""
+    return '{} x {} pixels'.format(*size) if size else 'an unknown size'
 
 
 def _forget_ids(message: Any) -> None:

@@ -64,7 +64,8 @@ class PlayerSettings(CheckedSettings):
     )
     pass_step: int = setting(
         40,
-        'By how much that window moves from image to image, pixels.',
+        'By how much that window moves from image to image, pixels; no more than its height. The '
+        'last step of an image may be a shorter one.',
         Range(1, IMAGE_SIZE_LIMIT),
         read_only=True,
     )
@@ -87,6 +88,8 @@ class PlayerSettings(CheckedSettings):
         super().__post_init__()
         if bool(self.image_width) != bool(self.image_height):
             raise ValueError('image_width and image_height must be given together')
+        if self.pass_height and self.pass_step > self.pass_height:
+            raise ValueError('pass_step must not exceed pass_height: ships between are never seen')
 
 
 PLAY_DETECTIONS = ParameterTable(rows_of(PlayerSettings), partial(settings_of, PlayerSettings))

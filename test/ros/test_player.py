@@ -267,6 +267,41 @@ def test_images_beside_the_labels_are_published_with_their_stamp(
         assert image.data.tobytes() == pixels.tobytes()
 
 
+# A pass over images ---------------------------------------------------------------------------
+
+
+def test_a_pass_is_over_the_image_file_whatever_size_is_claimed(play: Play, put: Put) -> None:
+    labels = put('P1.txt', DOTA)
+    pixels = np.random.default_rng(6).integers(0, 256, (100, 40)).astype(np.uint8)
+    Picture.fromarray(pixels).save(labels.parent / 'P1.png')
+    claimed = {'image_width': 40, 'image_height': 500}
+    player = play(path=labels, pass_height=30, pass_step=20, **claimed)
+    assert player.finish() == 0
+    assert 'P1.png has 40 x 100 pixels, its labels say 40 x 500 pixels' in player.log
+    assert "image 'P1': 1 labels are outside it" in player.log
+    assert 'played 5 images, skipped 0 malformed records and 1 labels outside' in player.log
+    assert [(each.width, each.height) for each in player.infos] == [(40, 30)] * 5
+    for top, image in zip((0, 20, 40, 60, 70), player.images, strict=True):
+        assert image.data.tobytes() == pixels[top : top + 30].tobytes()
+    # The ship is at row 25.
+    assert [len(message.detections) for message in player.messages] == [1, 1, 0, 0, 0]
+    assert 'Traceback' not in player.log
+
+
+def test_an_image_that_shrinks_during_a_pass_is_reported(play: Play, put: Put) -> None:
+    labels = put('P1.txt', DOTA)
+    file = labels.parent / 'P1.png'
+    Picture.new('L', (40, 100)).save(file)
+    player = play(path=labels, pass_height=30, pass_step=30, wait_for_subscribers=2)
+    player.peer.spin_until(lambda: 'waiting for 2' in player.log, 'the player to wait')
+    Picture.new('L', (40, 50)).save(file)
+    player.peer.collect(Detection2DArray, 'detections')
+    assert player.finish() == 0
+    assert f'no image: {file}: it has not the size' in player.log
+    assert len(player.infos) == len(player.images) + 3 == 4
+    assert {image.height for image in player.images} == {30}
+
+
 # What cannot be played ------------------------------------------------------------------------
 
 
@@ -278,6 +313,8 @@ def test_images_beside_the_labels_are_published_with_their_stamp(
         ({'path': str(REAL_SHIPS), 'rate': 0.0}, ('rate', '0.0')),
         ({'path': str(REAL_SHIPS), 'output_type': 'Image'}, ('output_type', 'Image')),
         ({'path': str(REAL_SHIPS), 'image_width': 5}, ('image_width', 'image_height')),
+        ({'pass_height': 300, 'pass_step': 301}, ('pass_step', 'pass_height')),
+        ({'path': str(REAL_SHIPS), 'pass_height': 300}, ('real_ships.csv', 'size')),
         ({'path': str(REAL_SHIPS.parent / 'README.md')}, ('README.md', 'format')),
     ],
 )

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from obbhbb_ros.labels.passes import inside_image
 from obbhbb_ros.labels.passes import pass_over
 from obbhbb_ros.study.harbour import harbour
 
@@ -16,7 +17,7 @@ def test_every_ship_is_seen_as_often_as_the_windows_overlap_and_where_it_is() ->
     labels = harbour()
     assert labels.size is not None
     seen = list(pass_over(labels, 300, 100))
-    assert [top for top, _ in seen] == [0, 100, 200, 300, 400]
+    assert [top for top, _ in seen] == [0, 100, 200, 300, 400, 468]
     middles = labels.boxes().center
     for top, part in seen:
         assert part.size == (labels.size[0], 300)
@@ -35,3 +36,28 @@ def test_a_window_larger_than_the_image_sees_all_of_it() -> None:
 def test_without_the_size_of_the_image_there_is_no_pass() -> None:
     with pytest.raises(ValueError, match='no pass without its size'):
         list(pass_over(replace(harbour(), size=None), 10, 10))
+
+
+@pytest.mark.parametrize(('height', 'step'), [(300, 90), (300, 299), (300, 300), (299, 7), (1, 1)])
+def test_every_row_of_the_image_is_flown_over(height: int, step: int) -> None:
+    labels = harbour()
+    assert labels.size is not None
+    tops = [top for top, _ in pass_over(labels, height, step)]
+    assert tops[0] == 0
+    assert tops[-1] + height == labels.size[1]
+    assert tops == sorted({*tops})
+    assert max(np.diff(tops)) <= step
+
+
+def test_a_step_that_skips_rows_is_refused() -> None:
+    with pytest.raises(ValueError, match='a step of 41 skips rows'):
+        list(pass_over(harbour(), 40, 41))
+
+
+def test_labels_outside_the_image_are_not_seen() -> None:
+    labels = replace(harbour(), size=(400, 350))
+    inside = (labels.boxes().center < (400, 350)).all(axis=1)
+    assert 0 < inside.sum() < inside.size
+    seen = inside_image(labels)
+    np.testing.assert_array_equal(seen.corners, labels.corners[inside])
+    assert len(inside_image(replace(labels, corners=labels.corners - 1e6)).class_ids) == 0
