@@ -80,7 +80,8 @@ def choose(connections: Collection[Connection], topic: str = '', camera_info: st
         The topics of the bag.
     topic : str
         The topic to convert; by default the only one that can be converted, or the one of
-        `ship_tracker` instead of those beside it.
+        `ship_tracker` instead of those beside it. Topics without messages count only if none has
+        any.
     camera_info : str
         The topic of `sensor_msgs/CameraInfo`; `camera_info` beside the input by default.
 
@@ -103,7 +104,8 @@ def choose(connections: Collection[Connection], topic: str = '', camera_info: st
         topic = _absolute(topic)
         candidates = [topic] if topic in possible else []
     else:
-        candidates = _untracked_left_out([name for name in possible if not name.endswith(_MADE)])
+        inputs = [name for name in possible if not name.endswith(_MADE)]
+        candidates = _untracked_left_out(_empty_left_out(inputs, connections))
     if len(candidates) != 1:
         raise ValueError(_choice(connections, topic, candidates))
     detections = candidates[0]
@@ -118,6 +120,12 @@ def choose(connections: Collection[Connection], topic: str = '', camera_info: st
         _absolute(camera_info) if camera_info else f'{namespace}/camera_info',
         outputs,
     )
+
+
+def _empty_left_out(topics: Sequence[str], connections: Iterable[Connection]) -> list[str]:
+    """Leave out topics without messages; none if no topic has any, or the bag does not count."""
+    filled = {connection.topic for connection in connections if connection.msgcount}
+    return [topic for topic in topics if topic in filled] or list(topics)
 
 
 def _untracked_left_out(topics: Sequence[str]) -> list[str]:

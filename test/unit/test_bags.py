@@ -311,6 +311,20 @@ def test_what_the_tracker_says_is_taken_instead_of_what_it_read(tmp_path: Path, 
     assert run('--topic', 'detections')[1].startswith('/detections (')
 
 
+def test_a_tracker_that_said_nothing_is_not_taken_instead(tmp_path: Path, run: Any) -> None:
+    topics = TOPICS | {'/tracked_detections': 'Detection2DArray'}
+    record(tmp_path / 'in', topics, scene())
+    code, out, _ = run()
+    assert code == 0
+    assert out.startswith('/detections (')
+    assert answers(tmp_path / 'out') == expected(scene())
+
+
+def test_of_topics_without_messages_the_tracker_is_taken(tmp_path: Path, run: Any) -> None:
+    record(tmp_path / 'in', TOPICS | {'/tracked_detections': 'Detection2DArray'}, [])
+    assert run()[1].startswith('/tracked_detections (')
+
+
 def test_the_tracker_of_one_camera_says_nothing_of_another(tmp_path: Path, run: Any) -> None:
     topics = TOPICS | {'/left/tracked_detections': 'Detection2DArray'}
     tracked = detections('Detection2DArray', ROWS[0])
