@@ -27,6 +27,8 @@ SHARED_KEYS = ('size', 'k', 'model', 'd')
 _BOX_DECIMALS = (2, 2, 2, 2, 5)
 # Of other numbers.
 _SIGNIFICANT_DIGITS = 6
+# What is not known before a chip is claimed, as long as it can get.
+_LONGEST = {'rank': -1.23456e-300, 'view': 10_000_000}
 
 
 class CameraFile(NamedTuple):
@@ -100,6 +102,25 @@ def without_camera(description: Mapping[str, Any]) -> tuple[dict[str, Any], Came
     file = CameraFile(camera_id(content), content)
     own = {key: value for key, value in camera.items() if key not in SHARED_KEYS}
     return {**description, 'camera': {'id': file.id, **own}}, file
+
+
+def compact_cost(description: Mapping[str, Any]) -> int:
+    """
+    Return the bytes that a chip costs with compact JSON, at most; those of its camera if more.
+
+    The camera goes before the chip, so that what has room for the cost has room for both of them,
+    one after the other.
+
+    Parameters
+    ----------
+    description : mapping
+        What `StoredChip.describe` returns; rank and view may not be known yet.
+    """
+    chip, camera = without_camera(shortened({**description, **_LONGEST}))
+    cost = int(description['bytes']) + len(compact_bytes(chip))
+    if camera is None:
+        return cost
+    return max(cost, len(camera.content) + len(camera.json_bytes()))
 
 
 def with_camera(camera: Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:

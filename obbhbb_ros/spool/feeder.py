@@ -283,7 +283,12 @@ class OutboxFeeder:
         room = self._room_in_outbox(settings) + overhead
         max_cost = min(self._bucket.burst, (settings.max_bytes or inf) + overhead)
         claim = self._spool.claim(
-            _BATCH, min(self.available, room), max_cost, overhead, is_resumed=bool(self._unsure)
+            _BATCH,
+            min(self.available, room),
+            max_cost,
+            overhead,
+            is_resumed=bool(self._unsure),
+            is_compact=settings.is_compact,
         )
         if not claim.chips:
             return self._stall(claim, settings, room)
@@ -323,7 +328,7 @@ class OutboxFeeder:
         """
         Complete the file of a camera in the outbox, if need be; False if that is not allowed.
 
-        It is smaller than the full description of a chip, so what lets a chip pass lets it pass.
+        No camera costs more than what its chip was claimed for, so that it has room.
         """
         if camera.id in self._known_cameras:
             return True

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Collection
+from collections.abc import Iterator
+from contextlib import suppress
 from enum import Enum
 from itertools import islice
 from typing import NamedTuple
@@ -18,6 +20,7 @@ from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.chip_rows import chips_of
 from obbhbb_ros.spool.chip_rows import number_of
+from obbhbb_ros.spool.compact_json import compact_cost
 from obbhbb_ros.spool.order import in_order
 from obbhbb_ros.spool.views import ObjectViews
 
@@ -26,6 +29,8 @@ _JSON_ROOM = 192
 # Bytes that a chip costs on the link: its file and its JSON. A damaged chip costs nothing: it is
 # claimed, and evicted.
 _COST = f'ifnull(bytes + length(CAST(facts AS BLOB)) + {_JSON_ROOM}, 0)'
+# No JSON makes it less.
+_LEAST_COST = 'ifnull(bytes + 0, 0)'
 
 
 class Stall(Enum):
@@ -66,7 +71,13 @@ class SpoolReleaser(SpoolAccess):
     """
 
     def claim(
-        self, count: int, room: float, max_cost: float, overhead: int, is_resumed: bool = False
+        self,
+        count: int,
+        room: float,
+        max_cost: float,
+        overhead: int,
+        is_resumed: bool = False,
+        is_compact: bool = False,
     ) -> Claim:
         """
         Claim the next chips; a claimed chip is not evicted.
@@ -83,6 +94,8 @@ class SpoolReleaser(SpoolAccess):
             Bytes that a chip costs besides its file and JSON.
         is_resumed : bool
             Whether chips that are claimed already come first.
+        is_compact : bool
+            Whether the JSON will be a compact one.
 
         Returns
         -------
@@ -91,7 +104,8 @@ class SpoolReleaser(SpoolAccess):
         """
         with self._booking() as (rows, books):
             states = [ChipState.CLAIMED, ChipState.WAITING] if is_resumed else [ChipState.WAITING]
-            claim = _next_chips(rows, books.fade, states, count, room, max_cost, overhead)
+            chips_left = _chips_up_to(rows, books.fade, states, max_cost - overhead, is_compact)
+            claim = _next_chips(chips_left, books.fade, count, room, overhead)
             chips = ObjectViews(rows, books).counted([chip for chip, _ in claim.chips])
             for chip in chips:
                 books.take(chip.state, [chip.bytes])
@@ -214,26 +228,42 @@ def _deliver(rows: sqlite3.Cursor, books: Books, ids: Collection[str]) -> None:
                 books.count('evicted.damaged', 1)
 
 
-def _next_chips(
-    rows: sqlite3.Cursor,
-    fade: float,
-    states: list[int],
-    count: int,
-    room: float,
-    max_cost: float,
-    overhead: int,
-) -> Claim:
-    """Read the next chips that have room, state by state; the first that has none ends it."""
-    chips: list[tuple[StoredChip, bytes]] = []
+def _chips_up_to(
+    rows: sqlite3.Cursor, fade: float, states: list[int], max_cost: float, is_compact: bool
+) -> Iterator[tuple[StoredChip, bytes, int]]:
+    """Yield the next chips up to a cost, with file and cost, state by state."""
+    least = _LEAST_COST if is_compact else _COST
     for state in states:
-        in_state = in_order(rows, fade, f'state = {state}', f'{_COST} <= ?', (max_cost - overhead,))
-        for chip in islice(in_state, count - len(chips)):
+        for chip in in_order(rows, fade, f'state = {state}', f'{least} <= ?', (max_cost,)):
             ((cost, data),) = rows.execute(
                 f'SELECT {_COST}, data FROM chips WHERE seq = ?', (chip.seq,)
             )
-            if cost + overhead > room:
-                return Claim(chips, fade, Stall.NO_ROOM, cost + overhead)
-            room -= cost + overhead
-            # That of the row may be damaged; the index found it by this one.
-            chips.append((chip._replace(state=state), data))
-    return Claim(chips, fade)
+            if is_compact:
+                cost = min(cost, _compact_cost(chip, fade))
+            if cost <= max_cost:
+                # The state of the row may be damaged; the index found it by this one.
+                yield chip._replace(state=state), data, cost
+
+
+def _compact_cost(chip: StoredChip, fade: float) -> int:
+    """Return the bytes that a chip costs with compact JSON; 0 if it is damaged."""
+    with suppress(ValueError, TypeError, KeyError, RecursionError):
+        return compact_cost(chip.describe(fade))
+    return 0
+
+
+def _next_chips(
+    chips: Iterator[tuple[StoredChip, bytes, int]],
+    fade: float,
+    count: int,
+    room: float,
+    overhead: int,
+) -> Claim:
+    """Take the next chips that have room; the first that has none ends it."""
+    taken: list[tuple[StoredChip, bytes]] = []
+    for chip, data, cost in islice(chips, count):
+        if cost + overhead > room:
+            return Claim(taken, fade, Stall.NO_ROOM, cost + overhead)
+        room -= cost + overhead
+        taken.append((chip, data))
+    return Claim(taken, fade)

@@ -121,6 +121,61 @@ def test_the_json_is_short_and_says_the_same(ground) -> None:
     assert described['obb'] == [25.0, 40.01, 38.12, 12.0, 0.12346]
 
 
+def full_and_compact_cost(ground, chip) -> tuple[int, int]:
+    """Return the bytes of a chip in the outbox with full and with compact JSON."""
+    sizes = []
+    for settings in (ReleaseSettings(), COMPACT):
+        ground.restart(settings)
+        ground.store(chip)
+        ground.steps()
+        sizes.append(sum(path.stat().st_size for path in ground.outbox.glob('0/[!c]*')))
+        ground.take_all()
+    return sizes[0], sizes[1]
+
+
+def test_a_chip_that_fits_only_with_compact_json_is_released(ground) -> None:
+    chip = new_chip(size=1000, camera=CAMERA)
+    full, compact = full_and_compact_cost(ground, chip)
+    assert compact < full - 100
+    ground.store(chip)
+    for is_compact, released in ((False, 0), (True, 1)):
+        # Of rank and number of the view nobody knows how long they get.
+        budget = LinkSettings(bytes_per_second=100.0, burst=compact + 20.0)
+        ground.restart(ReleaseSettings(budget=budget, is_compact=is_compact))
+        ground.steps(5)
+        assert len(in_outbox(ground.outbox)) == released
+    assert ground.troubles == ['all chips that wait are larger than budget.burst']
+
+
+def test_a_chip_with_compact_json_waits_for_no_more_room_than_it_takes(ground) -> None:
+    chip = new_chip(size=1000, camera=CAMERA)
+    full, compact = full_and_compact_cost(ground, chip)
+    ground.restart(replace(REMOVAL, max_bytes=2.0 * full))
+    ground.store(chip)
+    ground.steps()
+    camera = sum(path.stat().st_size for path in ground.outbox.glob('0/c*'))
+    ground.restart(replace(REMOVAL, max_bytes=camera + 2.0 * compact + 20.0))
+    ground.store(chip)
+    ground.steps()
+    assert len(in_outbox(ground.outbox)) == 2
+
+
+def test_a_chip_whose_camera_never_fits_is_passed_over(ground) -> None:
+    camera = CAMERA | {'model': 'rational_polynomial', 'd': [-0.123456789 - i for i in range(14)]}
+    ground.store(new_chip(0.9, size=10, camera=camera), new_chip(0.8, size=10, camera=None))
+    # More than the chip with its JSON, less than the camera with its own.
+    budget = LinkSettings(bytes_per_second=1000.0, burst=480.0)
+    ground.restart(replace(COMPACT, budget=budget))
+    ground.steps()
+    assert [chip['value'] for chip in in_outbox(ground.outbox).values()] == [0.8]
+    assert not cameras_in_outbox(ground.outbox)
+    assert ground.feeder.stalled_by == 'all chips that wait are larger than budget.burst'
+    ground.restart(replace(COMPACT, budget=replace(budget, burst=700.0)))
+    ground.steps()
+    assert len(cameras_in_outbox(ground.outbox)) == 1
+    assert len(in_outbox(ground.outbox)) == 2
+
+
 def test_full_json_holds_its_camera(ground) -> None:
     ground.restart(ReleaseSettings())
     ground.store(new_chip(camera=CAMERA))
