@@ -3,25 +3,30 @@
 What `ship_tracker` does to a message: bytes and settings in, bytes and counts out, without ROS.
 
     identifier = ShipIdentifier()
-    outcome = identifier.answer(data, INPUT_TYPES['Detection2DArray'], settings, camera, output)
+    outcome = identifier.answer(data, INPUT_TYPES['Detection2DArray'], settings, camera, outputs)
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from obbhbb_ros.downlink.cameras import CameraChoice
+from obbhbb_ros.earth.pose_source import PoseSource
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.pipeline import NOBODY
 from obbhbb_ros.pipeline import ConversionOutcome
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.pipeline import camera_doubt
 from obbhbb_ros.pipeline import known_image_size
 from obbhbb_ros.pipeline import no_size_complaint
+from obbhbb_ros.placing import PlacedShips
+from obbhbb_ros.placing import ShipPlacer
 from obbhbb_ros.settings.ship_tracker import TrackerSettings
 from obbhbb_ros.tracking.matcher import ShipMatcher
 from obbhbb_ros.tracking.track_ids import IdWatch
@@ -34,6 +39,19 @@ from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import nanoseconds_of
 from obbhbb_ros.wire.stamp import stamp_text
 
+
+class TrackerOutputs(NamedTuple):
+    """The topics for the answers to a message."""
+
+    tracked: Output
+    positions: Output = NOBODY
+    image_pose: Output = NOBODY
+
+    def wanted(self) -> bool:
+        """Return whether anybody wants one of them."""
+        return any(output.wanted() for output in self)
+
+
 Finding: TypeAlias = tuple[dict[str, int], dict[str, str]]
 """Counts by key of the diagnostics, and complaints by kind."""
 
@@ -42,14 +60,20 @@ class ShipIdentifier:
     """
     Gives the detections of message after message the ids of ships.
 
+    Parameters
+    ----------
+    poses : PoseSource, optional
+        Knows where the camera is; needed where the settings say how to place ships.
+
     Attributes
     ----------
     session : str
         First half of the ids that it gives, drawn anew for each object of this class.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, poses: PoseSource | None = None) -> None:
         self.session = new_session()
+        self._placer = None if poses is None else ShipPlacer(poses)
         self._matcher = ShipMatcher()
         self._watch = IdWatch()
         self._stamp: Stamp | None = None
@@ -65,10 +89,10 @@ class ShipIdentifier:
         input_type: InputType,
         settings: TrackerSettings,
         camera: CameraChoice[WireCamera] | None,
-        output: Output,
+        outputs: TrackerOutputs,
     ) -> ConversionOutcome:
         """
-        Publish a message with ids, if anybody wants it.
+        Publish a message with ids, and where its ships are, if anybody wants it.
 
         Parameters
         ----------
@@ -80,29 +104,36 @@ class ShipIdentifier:
             The settings.
         camera : CameraChoice of WireCamera, optional
             The camera of the image, by its stamp or the latest. It gives the size of the image
-            where the settings do not.
-        output : Output
-            Where the answer goes.
+            where the settings do not, and places need it.
+        outputs : TrackerOutputs
+            Where the answers go.
 
         Returns
         -------
         ConversionOutcome
-            What became of it. If the answer is not wanted, the message is not read.
+            What became of it. If no answer is wanted, the message is not read.
 
         Raises
         ------
         obbhbb_ros.wire.buffer.WireError
             If the bytes are no such message.
         """
-        if not output.wanted():
+        if not outputs.wanted():
             return ConversionOutcome({'messages_without_subscriber': 1}, {})
         detections = Detections(data, input_type)
         image_size, used = known_image_size(settings.image_size, camera)
+        boxes = _image_boxes(detections, settings, image_size)
+        placed = self._placed(detections.stamp, boxes, settings, camera if image_size else None)
+        rows = np.arange(len(detections))
+        if placed is not None and settings.place is not None:
+            rows = np.flatnonzero(placed.within(settings.place.lengths))
         own = detections.ids()
-        ids = own if settings.keeps_ids else [''] * len(own)
+        passed = [own[row] for row in rows.tolist()]
+        ids = passed if settings.keeps_ids else [''] * len(passed)
         findings = [
             ({'detections_received': len(own), 'ids_kept': sum(map(bool, ids))}, {}),
             (used, {}),
+            _placing(placed, len(own) - len(rows)),
             self._id_doubts(ids),
             self._stamp_doubt(detections.stamp),
             camera_doubt(detections.frame_id, camera if used else None),
@@ -111,19 +142,33 @@ class ShipIdentifier:
             no_size = no_size_complaint(['ships get no ids'])
             findings.append(({'messages_without_image_size': 1}, no_size))
         elif not ids or not all(ids):
-            boxes = settings.input_frame.oriented_boxes(
-                detections.xywhr(), detections.polygons, image_size
-            )
-            numbers = self._numbers(detections.stamp, boxes, settings.memory, image_size)
-            findings.append(_untracked(ids, numbers, boxes.valid, detections.stamp))
+            passed_boxes = boxes[rows]
+            numbers = self._numbers(detections.stamp, passed_boxes, settings.memory, image_size)
+            findings.append(_untracked(ids, numbers, passed_boxes.valid, detections.stamp))
             ids = self._filled(ids, numbers)
-        output.publish(_with_ids(detections, own, ids, settings))
+        if placed is not None:
+            # First, so that they are there when the chips are cut.
+            _publish_places(placed, detections, ids, rows, outputs)
+        outputs.tracked.publish(_with_ids(detections, own, ids, rows, settings))
         counts: dict[str, int] = {}
         complaints: dict[str, str] = {}
         for counted, texts in findings:
             counts |= counted
             complaints |= texts
         return ConversionOutcome(counts, complaints, image_size)
+
+    def _placed(
+        self,
+        stamp: Stamp,
+        boxes: OrientedBoxes,
+        settings: TrackerSettings,
+        camera: CameraChoice[WireCamera] | None,
+    ) -> PlacedShips | None:
+        """Place the ships of an image on Earth; None if that is not asked for."""
+        if self._placer is None or settings.place is None:
+            return None
+        known = None if camera is None else camera.camera
+        return self._placer.place(boxes, stamp, known, settings.place)
 
     def _filled(self, ids: Sequence[str], numbers: NDArray[np.int64]) -> list[str]:
         """Give ids to detections without one, by their numbers."""
@@ -190,23 +235,58 @@ def _untracked(
     return counts, {'untracked': text}
 
 
+def _image_boxes(
+    detections: Detections, settings: TrackerSettings, image_size: tuple[int, int] | None
+) -> OrientedBoxes:
+    """Return the boxes in pixels of the image, if its size is known."""
+    return settings.input_frame.oriented_boxes(
+        detections.xywhr(), detections.polygons, image_size, bow=settings.has_bow
+    )
+
+
+def _placing(placed: PlacedShips | None, left_out: int) -> Finding:
+    """Count the ships without a place, and those of another length."""
+    if placed is None:
+        return {}, {}
+    counts = dict(placed.counts)
+    if left_out:
+        counts['detections_left_out.length'] = left_out
+    return counts, placed.complaints
+
+
+def _publish_places(
+    placed: PlacedShips,
+    detections: Detections,
+    ids: Sequence[str],
+    rows: NDArray[np.intp],
+    outputs: TrackerOutputs,
+) -> None:
+    """Publish where ships are, and the pose of the image."""
+    if outputs.image_pose.wanted() and (pose := placed.pose_message()):
+        outputs.image_pose.publish(pose)
+    if outputs.positions.wanted():
+        outputs.positions.publish(placed.message(detections, ids, rows))
+
+
 def _with_ids(
-    detections: Detections, own: Sequence[str], ids: Sequence[str], settings: TrackerSettings
+    detections: Detections,
+    own: Sequence[str],
+    ids: Sequence[str],
+    rows: NDArray[np.intp],
+    settings: TrackerSettings,
 ) -> bytes:
-    """Write a message with ids; of polygons, with their boxes."""
+    """Write a message of some detections with ids; of polygons, with their boxes."""
     if detections.polygons is not None:
-        return detections.with_ids(ids, _boxes_of_polygons(detections, settings))
+        return detections.with_ids(ids, _boxes_of_polygons(detections, settings), rows)
     if ids == own:
         # Ids that are not UTF-8 remain.
-        rows = np.zeros(len(own), np.bool_)
-        return detections.rewrite(np.zeros((len(own), 4)), rows)
-    return detections.with_ids(ids)
+        none = np.zeros(len(own), np.bool_)
+        return detections.rewrite(np.zeros((len(own), 4)), none)
+    return detections.with_ids(ids, rows=rows)
 
 
 def _boxes_of_polygons(detections: Detections, settings: TrackerSettings) -> FloatArray:
     """Return the boxes of polygons as a detector would send them; (N, 5)."""
-    frame = settings.input_frame
-    boxes = frame.oriented_boxes(detections.xywhr(), detections.polygons)
-    return np.column_stack(
-        (boxes.center, boxes.length, boxes.width, boxes.theta / frame.theta_scale)
-    )
+    boxes = _image_boxes(detections, settings, None)
+    theta = boxes.theta / settings.input_frame.theta_scale
+    return np.column_stack((boxes.center, boxes.length, boxes.width, theta))

@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
-from typing import Any
 from typing import Generic
 from typing import NamedTuple
 from typing import TypeVar
@@ -15,7 +13,6 @@ from obbhbb_ros.downlink.joiner import StampCache
 from obbhbb_ros.wire.stamp import Stamp
 
 Camera = TypeVar('Camera')
-Frame = TypeVar('Frame')
 
 _MAX_COUNT = 1000
 _MAX_MISSED = 100
@@ -105,53 +102,3 @@ class CameraMemory(Generic[Camera]):
         is_later = self._latest_stamp != ZERO_STAMP and self._latest_stamp < stamp
         may_match = len(self._by_stamp) > 1 if self._match is None else self._match
         return is_later and may_match and stamp not in self._by_stamp
-
-
-class CameraQueue(Generic[Frame]):
-    """
-    Frames that wait, in order, for a camera that is on its way.
-
-    A small message that is lost beside large ones is sent again, seconds later.
-
-    Parameters
-    ----------
-    cameras : CameraMemory
-        The cameras that have come.
-    """
-
-    def __init__(self, cameras: CameraMemory[Any]) -> None:
-        self._cameras = cameras
-        self._waiting: deque[tuple[Stamp, Frame, int, float]] = deque()
-        self._bytes = 0
-
-    def __len__(self) -> int:
-        """Count the frames that wait."""
-        return len(self._waiting)
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Iterate over the frames that wait, the first one first."""
-        return (frame for _, frame, _, _ in self._waiting)
-
-    def add(self, stamp: Stamp, frame: Frame, size: int, now: float) -> None:
-        """Add a frame of some bytes, at `now`, seconds of a monotonic clock."""
-        self._waiting.append((stamp, frame, size, now))
-        self._bytes += size
-
-    def ready(self, now: float, max_age: float, max_bytes: float) -> Iterator[Frame]:
-        """Remove and yield the frames that need not, or can no longer, wait for a camera."""
-        while self._waiting:
-            stamp, _, _, since = self._waiting[0]
-            may_wait = now - since <= max_age and self._bytes <= max_bytes
-            if may_wait and self._cameras.is_coming(stamp):
-                return
-            yield self.pop()
-
-    def is_over(self, max_bytes: float) -> bool:
-        """Return whether more bytes wait than that, in more than one frame."""
-        return self._bytes > max_bytes and len(self._waiting) > 1
-
-    def pop(self) -> Frame:
-        """Remove and return the first frame."""
-        _, frame, size, _ = self._waiting.popleft()
-        self._bytes -= size
-        return frame

@@ -15,6 +15,7 @@ from obbhbb_ros.earth.ellipsoid import is_above
 from obbhbb_ros.earth.ellipsoid import to_geodetic
 from obbhbb_ros.earth.pinhole import Pinhole
 from obbhbb_ros.earth.pose import CameraPose
+from obbhbb_ros.earth.pose_sweep import PoseSweep
 from obbhbb_ros.earth.quaternions import enu_quaternion
 from obbhbb_ros.earth.quaternions import product
 from obbhbb_ros.earth.quaternions import turn_about_up
@@ -22,7 +23,7 @@ from obbhbb_ros.earth.uncertainty import covariances
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 
-__all__ = ['Placement', 'Unplaced', 'place']
+__all__ = ['Placement', 'Unplaced', 'ellipses_of', 'place']
 
 
 class Unplaced(IntEnum):
@@ -43,6 +44,8 @@ class Unplaced(IntEnum):
         A part of the ship is past the horizon, or the camera looks up.
     LOW
         The camera stands lower above the ship's horizon than `min_elevation`.
+    NO_POSE
+        The camera or its pose is not known.
     """
 
     NONE = 0
@@ -51,6 +54,7 @@ class Unplaced(IntEnum):
     BELOW_SURFACE = 3
     ABOVE_HORIZON = 4
     LOW = 5
+    NO_POSE = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +75,8 @@ class Placement:
         of the two ends, in [0, 180).
     elevation : ndarray, shape (N,)
         How high the camera stands above the ship's horizon, degrees.
+    has_bow : ndarray of bool, shape (N,)
+        Whether it is known which end is the bow.
     covariance : ndarray, shape (N, 4, 4), or None
         Of east (m), north (m), length (m) and course (rad); None where the pose has none, NaN where
         it is so large that a part of it misses the Earth.
@@ -85,6 +91,7 @@ class Placement:
     width: FloatArray
     course: FloatArray
     elevation: FloatArray
+    has_bow: NDArray[np.bool_]
     covariance: FloatArray | None
     unplaced: NDArray[np.uint8]
 
@@ -102,21 +109,55 @@ class Placement:
         Half the major and half the minor axis in metres, and the azimuth of the major one in
         degrees from north, clockwise, in [0, 180).
         """
-        if self.covariance is None:
-            return None
-        east, both, north = (self.covariance[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
+        return None if self.covariance is None else ellipses_of(self.covariance[:, :2, :2])
+
+    @classmethod
+    def nowhere(cls, count: int) -> Placement:
+        """Make ships that have no place, because their camera or its pose is not known."""
+        unknown = np.full(count, np.nan)
+        return cls(
+            np.full((count, 3), np.nan),
+            *6 * (unknown,),
+            np.zeros(count, np.bool_),
+            None,
+            np.full(count, np.uint8(Unplaced.NO_POSE)),
+        )
+
+
+def ellipses_of(covariance: FloatArray) -> FloatArray:
+    """
+    Give the ellipses of one standard deviation of covariances of east and north.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (N, 2, 2)
+        m².
+
+    Returns
+    -------
+    ndarray, shape (N, 3)
+        Half the major and half the minor axis in metres, and the azimuth of the major one in
+        degrees from north, clockwise, in [0, 180).
+
+    Examples
+    --------
+    >>> ellipses_of(np.array([[[4.0, 0.0], [0.0, 1.0]]])).tolist()
+    [[2.0, 1.0, 90.0]]
+    """
+    east, both, north = (covariance[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
+    with np.errstate(invalid='ignore'):
         mean, half = 0.5 * (east + north), 0.5 * (east - north)
         apart = np.hypot(half, both)
         axes = np.sqrt(np.maximum([mean + apart, mean - apart], 0.0))
         # Twice the angle from north of the direction with the largest variance.
         azimuth = np.degrees(0.5 * np.arctan2(both, -half)) % 180.0
-        return np.stack((*axes, azimuth), axis=-1)
+    return np.stack((*axes, azimuth), axis=-1)
 
 
 def place(
     boxes: OrientedBoxes,
     camera: Pinhole,
-    pose: CameraPose,
+    pose: CameraPose | PoseSweep,
     surface_height: float = 0.0,
     min_elevation: float = 5.0,
 ) -> Placement:
@@ -133,8 +174,8 @@ def place(
         N boxes, pixels.
     camera : Pinhole
         The camera of the image.
-    pose : CameraPose
-        Its pose at the time of the image.
+    pose : CameraPose or PoseSweep
+        Its pose at the time of the image, or its poses at the times of the lines.
     surface_height : float
         Height of the water above the ellipsoid, metres.
     min_elevation : float
@@ -157,13 +198,16 @@ def place(
     offsets = np.stack((long, -long, short, -short), axis=1)
     with np.errstate(all='ignore'):
         pixels = (boxes.center.T[:, None] + offsets).reshape(2, -1)
-        rays = camera.rays(pixels.T) @ pose.matrix.T
-        hits = first_hits(pose.position, rays, surface_height).T.reshape(3, 4, count)
+        rays = pose.turned(camera.rays(pixels.T), pixels[1])
+        origins = pose.origins(pixels[1])
+        hits = first_hits(origins, rays, surface_height).T.reshape(3, 4, count)
+        # Of bow, stern and the two sides, if they differ.
+        origins = origins.T.reshape(3, -1, 1 if origins.ndim == 1 else count)
         middle = 0.5 * (hits[:, 0] + hits[:, 1])
         latitude, longitude, _ = to_geodetic(middle.T)
         axes = east_north_up(latitude, longitude).transpose(1, 2, 0)
         ahead, aside = (_on_axes(axes, hits[:, i] - hits[:, i + 1]) for i in (0, 2))
-        sight = pose.position[:, None] - middle
+        sight = origins.mean(axis=1) - middle
         up = (axes[2] * sight).sum(axis=0) / np.sqrt((sight * sight).sum(axis=0))
         elevation = np.degrees(np.arcsin(np.clip(up, -1.0, 1.0)))
         unplaced = _reasons(boxes, rays, is_above(pose.position, surface_height))
@@ -174,12 +218,21 @@ def place(
         course = np.degrees(np.arctan2(*ahead)) % np.where(boxes.bow, 360.0, 180.0)
         numbers = np.array((*middle, latitude, longitude, length, width, course, elevation))
         numbers[:, unplaced > 0] = np.nan
-        spread = covariances(pose, hits[:, :2], axes[:2], surface_height)
+        spread = covariances(pose, origins[:, :2], hits[:, :2], axes[:2], surface_height)
         if spread is not None:
             spread[unplaced > 0] = np.nan
     latitude, longitude, length, width, course, elevation = numbers[3:]
     return Placement(
-        numbers[:3].T, latitude, longitude, length, width, course, elevation, spread, unplaced
+        points=numbers[:3].T,
+        latitude=latitude,
+        longitude=longitude,
+        length=length,
+        width=width,
+        course=course,
+        elevation=elevation,
+        has_bow=boxes.bow,
+        covariance=spread,
+        unplaced=unplaced,
     )
 
 

@@ -68,6 +68,14 @@ class CameraPose:
         """The attitude as a rotation matrix, (3, 3)."""
         return matrix_of(self.attitude)
 
+    def origins(self, lines: FloatArray) -> FloatArray:
+        """Tell where the camera is, (3,), ECEF: the same for all lines of the image."""
+        return self.position
+
+    def turned(self, rays: FloatArray, lines: FloatArray) -> FloatArray:
+        """Turn rays, (M, 3), of the optical frame into ECEF, by the same pose for all lines."""
+        return rays @ self.matrix.T
+
     @classmethod
     def from_message(
         cls, position: ArrayLike, attitude: ArrayLike, covariance: ArrayLike | None = None
@@ -197,7 +205,7 @@ class Fix:
         [0.0, 6378257.0, 0.0]
         """
         if status <= _NO_FIX:
-            raise PoseError('no fix')
+            raise PoseError(f'no fix (status {status})')
         if not abs(latitude) <= 90.0 or not abs(longitude) <= 360.0:
             raise PoseError(f'latitude {latitude}, longitude {longitude}: no degrees')
         known = None if covariance_type == _UNKNOWN else _covariance(covariance, 3)

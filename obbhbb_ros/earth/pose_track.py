@@ -94,6 +94,13 @@ class SampleTrack(Generic[Sample]):
         """Tell whether a sample has come that is as late as a stamp, so that waiting is over."""
         return bool(self._stamps) and self._stamps[-1] >= nanoseconds_of(stamp)
 
+    def gap(self, stamp: Stamp) -> float | None:
+        """Return the seconds from a stamp to the nearest sample, negative to an earlier one."""
+        time = nanoseconds_of(stamp)
+        place = bisect_left(self._stamps, time)
+        gaps = [(near - time) * 1e-9 for near in self._stamps[max(place - 1, 0) : place + 1]]
+        return min(gaps, key=abs, default=None)
+
     def at(self, stamp: Stamp, max_age: float) -> SampleAt[Sample] | None:
         """
         Interpolate at a stamp.

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +13,7 @@ from obbhbb_ros.geometry.boxes import FloatArray
 
 __all__ = [
     'enu_quaternion',
+    'matrices_of',
     'matrices_of_vectors',
     'matrix_of',
     'product',
@@ -99,12 +101,20 @@ def matrix_of(quaternion: ArrayLike) -> FloatArray:
     [-2.0, 3.0, 1.0]
     """
     x, y, z, w = np.asarray(quaternion, np.float64).tolist()
-    return np.array(
-        (
-            (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-            (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-            (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-        )
+    return np.array(_rotation(x, y, z, w))
+
+
+def matrices_of(quaternions: FloatArray) -> FloatArray:
+    """Turn unit quaternions, shape (N, 4), into their rotation matrices, (N, 3, 3)."""
+    return np.moveaxis(np.array(_rotation(*quaternions.T)), -1, 0)
+
+
+def _rotation(x: Any, y: Any, z: Any, w: Any) -> tuple[tuple[Any, Any, Any], ...]:
+    """Give the elements of the rotation matrix of a quaternion, or of several."""
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
     )
 
 

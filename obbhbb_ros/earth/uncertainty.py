@@ -16,6 +16,7 @@ import numpy as np
 
 from obbhbb_ros.earth.ellipsoid import first_hits
 from obbhbb_ros.earth.pose import CameraPose
+from obbhbb_ros.earth.pose_sweep import PoseSweep
 from obbhbb_ros.earth.quaternions import matrices_of_vectors
 from obbhbb_ros.geometry.boxes import FloatArray
 
@@ -30,15 +31,21 @@ _SECOND = np.sqrt(_SQUARED_STEP - 1.0) / (2.0 * _SQUARED_STEP)
 
 
 def covariances(
-    pose: CameraPose, ends: FloatArray, axes: FloatArray, surface_height: float
+    pose: CameraPose | PoseSweep,
+    origins: FloatArray,
+    ends: FloatArray,
+    axes: FloatArray,
+    surface_height: float,
 ) -> FloatArray | None:
     """
     Compute the covariances of ships.
 
     Parameters
     ----------
-    pose : CameraPose
+    pose : CameraPose or PoseSweep
         The pose of the camera.
+    origins : ndarray, shape (3, 1 or 2, 1 or N)
+        Where the camera is when it sees the ends, ECEF, metres.
     ends : ndarray, shape (3, 2, N)
         Bow and stern, ECEF, metres.
     axes : ndarray, shape (2, 3, N)
@@ -51,24 +58,26 @@ def covariances(
     ndarray, shape (N, 4, 4), or None
         Of east (m), north (m), length (m) and course (rad); None if that of the pose is not known.
     """
-    rays = ends - pose.position[:, None, None]
+    rays = ends - origins
     steps = _steps(pose, rays)
     if steps is None:
         return None
     moves, turns = steps
     rotations = matrices_of_vectors(turns).transpose(1, 0, 2).reshape(-1, 3)
-    origins = (pose.position + moves)[:, None, None]
+    # Of each step, (12, 1 or 2, 1 or N, 3).
+    begins = moves[:, None, None] + np.moveaxis(origins, 0, -1)
     matrices = np.empty((ends.shape[2], 4, 4))
     for start in range(0, len(matrices), _BLOCK):
         part = slice(start, start + _BLOCK)
         turned = (rotations @ rays[..., part].reshape(3, -1)).reshape(3, len(moves), 2, -1)
-        hits = first_hits(origins, np.moveaxis(turned, 0, -1), surface_height)
+        begin = begins if begins.shape[2] == 1 else begins[:, :, part]
+        hits = first_hits(begin, np.moveaxis(turned, 0, -1), surface_height)
         moved = np.moveaxis(hits, -1, 0)
         matrices[part] = _spread(_deviations(moved, ends[..., part], axes[..., part]))
     return matrices
 
 
-def _steps(pose: CameraPose, rays: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+def _steps(pose: CameraPose | PoseSweep, rays: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Give the moves (m) and turns (rad) of the pose, (12, 3) each: six steps there, six back."""
     if pose.covariance is None:
         return None

@@ -20,7 +20,6 @@ from vision_msgs.msg import Detection2DArray
 from obbhbb_ros.downlink.budget import FrameBudget
 from obbhbb_ros.downlink.budget import TokenBucket
 from obbhbb_ros.downlink.cameras import CameraMemory
-from obbhbb_ros.downlink.cameras import CameraQueue
 from obbhbb_ros.downlink.chips import ChipCutter
 from obbhbb_ros.downlink.chips import ChipError
 from obbhbb_ros.downlink.chips import Dropped
@@ -32,6 +31,7 @@ from obbhbb_ros.downlink.decoding import AnyImage
 from obbhbb_ros.downlink.decoding import decoded
 from obbhbb_ros.downlink.frame import FrameCut
 from obbhbb_ros.downlink.frame import FrameLink
+from obbhbb_ros.downlink.frame_queue import FrameQueue
 from obbhbb_ros.downlink.joiner import CAMERAS_KEPT
 from obbhbb_ros.downlink.joiner import IMAGES_KEPT
 from obbhbb_ros.downlink.joiner import PLANS_KEPT
@@ -163,7 +163,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._images.pair_with(self._plans)
         self._sources = StampCache[list[Source]](self._on_sources_dropped)
         self._cameras = CameraMemory[Camera]()
-        self._paired = CameraQueue[PairedFrame](self._cameras)
+        self._paired = FrameQueue[PairedFrame](self._cameras.is_coming)
         self._work: FrameInWork | None = None
         # It runs while a frame is in work.
         self._slices = steady_timer(self, 0.0, self._on_slice)

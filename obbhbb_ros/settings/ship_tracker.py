@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from obbhbb_ros.earth.quaternions import unit_quaternion
 from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.limits import Choices
 from obbhbb_ros.limits import Range
@@ -16,6 +18,41 @@ from obbhbb_ros.settings.detection_input import DETECTION_INPUT
 from obbhbb_ros.settings.detection_input import input_frame
 from obbhbb_ros.settings.parameters import Parameter
 from obbhbb_ros.settings.parameters import ParameterTable
+from obbhbb_ros.wire.poses import POSE_MESSAGES
+
+NO_POSE = 'none'
+VEHICLE = 'NavSatFix'
+POSE_TYPES = (NO_POSE, *POSE_MESSAGES, VEHICLE)
+"""What tells where the camera is."""
+
+
+@dataclass(frozen=True)
+class PlaceSettings:
+    """
+    How ships are placed on Earth.
+
+    Attributes
+    ----------
+    pose_max_age : float
+        How far the poses that the pose of an image is made of may be from it, seconds.
+    surface_height : float
+        Height of the water above the ellipsoid, metres.
+    min_elevation : float
+        How high the camera must stand above a ship's horizon, degrees.
+    readout : float
+        Seconds from the first line of an image to the last.
+    mount : tuple of float
+        Quaternion from the camera's optical frame to the body of its vehicle.
+    lengths : tuple of float
+        Minimum and maximum length of the ships that are passed on, metres.
+    """
+
+    pose_max_age: float
+    surface_height: float
+    min_elevation: float
+    readout: float
+    mount: tuple[float, ...]
+    lengths: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -33,21 +70,57 @@ class TrackerSettings:
         Width and height from the parameters, pixels; 0 where `camera_info` decides.
     input_frame : InputFrame
         Coordinates of the input.
+    has_bow : bool
+        Whether the angles of the input point to the bow.
+    place : PlaceSettings or None
+        How ships are placed on Earth; None if they are not.
     """
 
     keeps_ids: bool
     memory: float
     image_size: tuple[int, int]
     input_frame: InputFrame
+    has_bow: bool
+    place: PlaceSettings | None
 
 
 def _tracker_settings(values: Mapping[str, Any]) -> TrackerSettings:
     """Make settings for `ship_tracker`."""
+    if values['pose_type'] == NO_POSE:
+        for name in ('min_length', 'max_length'):
+            if values[name]:
+                raise ValueError(f'{name} needs a pose of the camera: set pose_type')
     return TrackerSettings(
         keeps_ids=values['ids'] == 'keep',
         memory=values['memory'],
         image_size=(values['image_width'], values['image_height']),
         input_frame=input_frame(values),
+        has_bow=values['heading'] == 'theta',
+        place=None if values['pose_type'] == NO_POSE else _place_settings(values),
+    )
+
+
+def _place_settings(values: Mapping[str, Any]) -> PlaceSettings:
+    """Make settings for the places of ships."""
+    mount = tuple(values['camera_mount'])
+    if values['pose_type'] == VEHICLE:
+        try:
+            mount = tuple(unit_quaternion(mount).tolist())
+        except ValueError as error:
+            raise ValueError(
+                f'camera_mount must be x, y, z and w of the rotation from the optical frame to the '
+                f'body of the vehicle: {error}'
+            ) from None
+    low, high = values['min_length'], values['max_length']
+    if 0.0 < high < low:
+        raise ValueError(f'min_length must be at most max_length, {high}, not {low}')
+    return PlaceSettings(
+        pose_max_age=values['pose_max_age'],
+        surface_height=values['surface_height'],
+        min_elevation=values['min_elevation'],
+        readout=values['readout'],
+        mount=mount,
+        lengths=(low, high or math.inf),
     )
 
 
@@ -69,6 +142,64 @@ SHIP_TRACKER = ParameterTable(
             Range(0.0, 1e6),
         ),
         *IMAGE_SIZE,
+        Parameter(
+            'heading',
+            'none',
+            "`theta`: theta is the ship's heading (full circle); otherwise the course of a ship "
+            'may be the opposite one.',
+            Choices(('none', 'theta')),
+        ),
+        Parameter(
+            'pose_type',
+            NO_POSE,
+            'What tells where the camera is: the message type on `camera_pose`, or `NavSatFix` for '
+            'messages on `fix` and `attitude`. `none`: ships get no places.',
+            Choices(POSE_TYPES),
+            read_only=True,
+        ),
+        Parameter(
+            'camera_mount',
+            [0.0, 0.0, 0.0, 0.0],
+            'With `NavSatFix`: x, y, z, w of the rotation from the optical frame of the camera to '
+            'the body of its vehicle. It has to be given.',
+        ),
+        Parameter(
+            'pose_max_age',
+            1.0,
+            'How far from an image the poses before and after it may be, seconds. A frame waits '
+            'half a second longer for its pose at most.',
+            Range(0.0, 60.0),
+        ),
+        Parameter(
+            'readout',
+            0.0,
+            'Seconds from the first line of an image, whose time is the stamp, to the last line.',
+            Range(0.0, 3600.0),
+        ),
+        Parameter(
+            'surface_height',
+            0.0,
+            'Height of the water above the ellipsoid WGS84, metres: at sea, the undulation of the '
+            'geoid.',
+            Range(-1000.0, 9000.0),
+        ),
+        Parameter(
+            'min_elevation',
+            5.0,
+            'How high the camera must stand above the horizon of a ship, degrees. Ships that see '
+            'it lower get no place.',
+            Range(0.0, 90.0),
+        ),
+        *(
+            Parameter(
+                f'{end}_length',
+                0.0,
+                f'{end.capitalize()}imum length of a ship, metres; {others} ones are not passed '
+                'on. 0: any. Needs a pose.',
+                Range(0.0, 1e6),
+            )
+            for end, others in (('min', 'shorter'), ('max', 'longer'))
+        ),
     ),
     _tracker_settings,
 )

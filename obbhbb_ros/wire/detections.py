@@ -267,16 +267,23 @@ class Detections:
         writer.add_text(self._id(id_at))
         return writer.message()
 
-    def with_ids(self, ids: Sequence[str], xywhr: FloatArray | None = None) -> bytes:
+    def with_ids(
+        self,
+        ids: Sequence[str],
+        xywhr: FloatArray | None = None,
+        rows: IntArray | None = None,
+    ) -> bytes:
         """
         Return the message with other ids; everything else is as it was.
 
         Parameters
         ----------
         ids : sequence of str
-            N ids.
+            M ids, by default for all detections.
         xywhr : ndarray, shape (N, 5), optional
             Oriented boxes to be written as well, as `xywhr` reads them.
+        rows : ndarray of int, shape (M,), optional
+            Which detections the message keeps, by default all.
 
         Returns
         -------
@@ -285,8 +292,9 @@ class Detections:
         """
         if xywhr is not None:
             self._numbers[self._boxes_at] = xywhr.T
-        writer = self._writer(len(self))
-        writer.copy_with_ids(self._spans, [text.encode(errors='replace') for text in ids])
+        writer = self._writer(len(ids))
+        spans = self._spans if rows is None else self._spans[:, rows]
+        writer.copy_with_ids(spans, [text.encode(errors='replace') for text in ids])
         return writer.message()
 
     def _write_boxes(self, rows: Any, xywh: FloatArray) -> None:

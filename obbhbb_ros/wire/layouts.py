@@ -29,14 +29,21 @@ _HEADER: Struct = {'stamp': {'sec': _INT32, 'nanosec': _UINT32}, 'frame_id': Tex
 
 _POSE: Struct = {'position': Numbers(8, 3), 'orientation': Numbers(8, 4)}
 _POSE_2D: Struct = {'position': {'x': _FLOAT64, 'y': _FLOAT64}, 'theta': _FLOAT64}
+_POSE_COVARIANCE: Struct = {'pose': _POSE, 'covariance': Numbers(8, 36)}
 _HYPOTHESIS: Struct = {
     'hypothesis': {'class_id': Text(), 'score': _FLOAT64},
-    'pose': {'pose': _POSE, 'covariance': Numbers(8, 36)},
+    'pose': _POSE_COVARIANCE,
 }
 _DETECTION_2D: Struct = {
     'header': _HEADER,
     'results': Many(_HYPOTHESIS),
     'bbox': {'center': _POSE_2D, 'size_x': _FLOAT64, 'size_y': _FLOAT64},
+    'id': Text(),
+}
+_DETECTION_3D: Struct = {
+    'header': _HEADER,
+    'results': Many(_HYPOTHESIS),
+    'bbox': {'center': _POSE, 'size': Numbers(8, 3)},
     'id': Text(),
 }
 _YOLO_DETECTION: Struct = {
@@ -83,12 +90,43 @@ _CAMERA_INFO: Struct = {
     },
 }
 
+_IMU: Struct = {
+    'header': _HEADER,
+    'orientation': Numbers(8, 4),
+    'orientation_covariance': Numbers(8, 9),
+    'angular_velocity': Numbers(8, 3),
+    'angular_velocity_covariance': Numbers(8, 9),
+    'linear_acceleration': Numbers(8, 3),
+    'linear_acceleration_covariance': Numbers(8, 9),
+}
+_NAV_SAT_FIX: Struct = {
+    'header': _HEADER,
+    'status': {'status': Numbers(1), 'service': Numbers(2)},
+    'latitude': _FLOAT64,
+    'longitude': _FLOAT64,
+    'altitude': _FLOAT64,
+    'position_covariance': Numbers(8, 9),
+    'position_covariance_type': _UINT8,
+}
+
 HEADER = steps_of(_HEADER)
 DETECTION_2D = steps_of(_DETECTION_2D)
 BOOL = steps_of({'data': _UINT8})
 IMAGE = steps_of(_IMAGE)
 COMPRESSED_IMAGE = steps_of({'header': _HEADER, 'format': Text(), 'data': Array(1)})
 CAMERA_INFO = steps_of(_CAMERA_INFO)
+POSE_STAMPED = steps_of({'header': _HEADER, 'pose': _POSE})
+POSE_WITH_COVARIANCE_STAMPED = steps_of({'header': _HEADER, 'pose': _POSE_COVARIANCE})
+ODOMETRY = steps_of(
+    {
+        'header': _HEADER,
+        'child_frame_id': Text(),
+        'pose': _POSE_COVARIANCE,
+        'twist': {'twist': Numbers(8, 6), 'covariance': Numbers(8, 36)},
+    }
+)
+IMU = steps_of(_IMU)
+NAV_SAT_FIX = steps_of(_NAV_SAT_FIX)
 
 
 class Field:
@@ -186,5 +224,16 @@ _INPUT_TYPES = (
         points='polygon.points',
     ),
 )
+POSITIONS = InputType(
+    'vision_msgs',
+    'Detection3DArray',
+    'positions',
+    steps_of(_DETECTION_3D),
+    class_id='results.hypothesis.class_id',
+    score='results.hypothesis.score',
+    id='id',
+)
+"""Where ships are on Earth, as `ship_tracker` publishes it."""
+
 INPUT_TYPES = {input_type.name: input_type for input_type in _INPUT_TYPES}
 """What `obb_to_hbb` can subscribe to, by name of the message type; the first is the default."""

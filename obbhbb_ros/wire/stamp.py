@@ -48,3 +48,16 @@ def stamp_at_start(data: bytes) -> Stamp:
     order = '<' if data[1] else '>'
     seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, 4)
     return seconds, nanoseconds
+
+
+def later(stamp: Stamp, seconds: float) -> Stamp:
+    """
+    Return the stamp some seconds later, which may be negative; none is before zero.
+
+    Examples
+    --------
+    >>> later((5, 900_000_000), 0.25)
+    (6, 150000000)
+    """
+    nanoseconds = max(nanoseconds_of(stamp) + round(seconds * 1e9), 0)
+    return divmod(nanoseconds, 1_000_000_000)

@@ -26,7 +26,7 @@ POLICY = ElementTree.parse(Path(__file__).parents[2] / 'config' / 'security' / '
 MANAGED = ('obb_to_hbb', 'chip_extractor', 'downlink', 'overlay', 'ship_tracker')
 NODES = (*MANAGED, 'play_detections')
 # On these the topics of a node depend.
-TOPIC_PARAMETERS = ('input_type', 'output_type', 'image_transport')
+TOPIC_PARAMETERS = ('input_type', 'output_type', 'image_transport', 'pose_type')
 
 
 def allowed(node: str, kind: str, action: str) -> set[str]:
@@ -68,6 +68,8 @@ def test_the_policy_has_the_names_of_the_running_node_whatever_its_parameters(
         Picture.new('L', (40, 30)).save(tmp_path / 'P1.png')
         used['path'] = tmp_path / 'P1.txt'
         used['path'].write_text('10 20 30 20 30 25 10 25 ship 0\n')
+    if node == 'ship_tracker':
+        used['camera_mount'] = [0.0, 0.0, 0.0, 1.0]
     spaces = {f'/variant{i}': given for i, given in enumerate(variants(node))}
     with ExitStack() as stack:
         peer = stack.enter_context(Peer(site.context, '/watching'))
@@ -117,7 +119,7 @@ def test_every_input_has_somebody_who_may_publish_it() -> None:
     published = set().union(
         *(
             allowed(node, 'topic', 'publish')
-            for node in (*MANAGED, 'camera', 'detector', 'operator')
+            for node in (*MANAGED, 'camera', 'detector', 'navigator', 'operator')
         )
     )
     for node in (*MANAGED, 'detector'):

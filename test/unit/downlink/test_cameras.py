@@ -5,7 +5,7 @@ import pytest
 
 from obbhbb_ros.downlink.cameras import CameraChoice
 from obbhbb_ros.downlink.cameras import CameraMemory
-from obbhbb_ros.downlink.cameras import CameraQueue
+from obbhbb_ros.downlink.frame_queue import FrameQueue
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def test_a_single_camera_or_one_without_a_stamp_is_that_of_all_images() -> None:
 
 
 def test_frames_wait_for_their_camera_in_order(cameras) -> None:
-    queue, limits = CameraQueue[str](cameras), (5.0, 100.0)
+    queue, limits = FrameQueue[str](cameras.is_coming), (5.0, 100.0)
     cameras.choice((6, 0))
     for second in (7, 8):
         queue.add((second, 0), f'frame {second}', 10, 2.0)
@@ -82,7 +82,7 @@ def test_frames_wait_for_their_camera_in_order(cameras) -> None:
     ('now', 'max_bytes', 'ready'), [(7.0, 20.0, 0), (7.1, 20.0, 2), (7.0, 15.0, 1)]
 )
 def test_the_wait_for_a_camera_is_bounded_by_age_and_bytes(cameras, now, max_bytes, ready) -> None:
-    queue = CameraQueue[str](cameras)
+    queue = FrameQueue[str](cameras.is_coming)
     cameras.choice((6, 0))
     for second in (7, 8):
         queue.add((second, 0), f'frame {second}', 10, 2.0)

@@ -13,6 +13,7 @@ from hypothesis import given
 
 from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.identification import ShipIdentifier
+from obbhbb_ros.identification import TrackerOutputs
 from obbhbb_ros.pipeline import NOBODY
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.settings.ship_tracker import SHIP_TRACKER
@@ -36,9 +37,9 @@ class Identified:
 
     def give(self, message):
         """Give a message; return the outcome, and the ids that were published."""
-        output = Output(self.sent.append)
+        outputs = TrackerOutputs(Output(self.sent.append))
         data = encode(message)
-        outcome = self.identifier.answer(data, TYPE, self.settings, None, output)
+        outcome = self.identifier.answer(data, TYPE, self.settings, None, outputs)
         return outcome, Detections(self.sent[-1]).ids()
 
 
@@ -148,7 +149,9 @@ def test_stamps_that_do_not_grow_are_reported() -> None:
 
 
 def test_nothing_is_read_that_nobody_wants() -> None:
-    outcome = ShipIdentifier().answer(b'', TYPE, SHIP_TRACKER.settings(SIZED), None, NOBODY)
+    outcome = ShipIdentifier().answer(
+        b'', TYPE, SHIP_TRACKER.settings(SIZED), None, TrackerOutputs(NOBODY)
+    )
     assert outcome.counts == {'messages_without_subscriber': 1}
 
 
