@@ -2,7 +2,8 @@
 """
 Ids of ships by `ShipMatcher`, on synthetic seas: ids a ship, ships that share one, and time.
 
-Nothing here was tuned on real video. `python test/benchmarks/tracking.py --help`
+With `--node` by the node `ship_tracker`, over DDS; its time is that from message to answer. Nothing
+here was tuned on real video. `python test/benchmarks/tracking.py --help`
 """
 
 from __future__ import annotations
@@ -10,9 +11,14 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Callable
+from collections.abc import Iterator
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from typing import NamedTuple
 
@@ -21,6 +27,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from seas import HOVERING
+from seas import Frame
+from seas import Ints
 from seas import Sea
 from seas import frames
 from seas import quality
@@ -101,18 +109,59 @@ GROUPS: dict[str, Sequence[Case]] = {
 HEAD = ('sea', 'ids a ship', 'merged', 'ships', 'boxes', 'µs a frame', 'p90')
 
 
-def measure(case: Case) -> list[str]:
+Track = Callable[[Frame], Ints]
+"""Numbers the boxes of an image."""
+
+
+@contextmanager
+def matcher(case: Case) -> Iterator[Track]:
+    """Number by a matcher."""
+    made = ShipMatcher(case.memory)
+    yield lambda frame: made.track(
+        frame.time, frame.place, frame.length, frame.angle, case.sea.size
+    )
+
+
+@contextmanager
+def node(case: Case) -> Iterator[Track]:
+    """Number by a node, which starts for it."""
+    from harness import Converter
+    from harness import site_at
+    from seas_over_dds import numbers_of
+
+    size = {'image_width': int(case.sea.size.real), 'image_height': int(case.sea.size.imag)}
+    with (
+        # The log of the node goes there.
+        TemporaryDirectory() as folder,
+        site_at(Path(folder)) as site,
+        Converter(
+            site,
+            parameters=size | {'memory': case.memory},
+            executable='ship_tracker',
+            topic='tracked_detections',
+        ) as tracker,
+    ):
+        tracker.connect()
+        yield lambda frame: numbers_of(tracker, frame)
+
+
+def measure(
+    case: Case,
+    tracker: Callable[[Case], AbstractContextManager[Track]] = matcher,
+    clock: Callable[[], float] = time.process_time,
+) -> list[str]:
     """Track the ships of all seeds; one row, medians over the seeds."""
     found, boxes, seconds = [], [], []
     for seed in range(1, case.seeds + 1):
-        matcher, truth, numbers = ShipMatcher(case.memory), [], []
-        for frame in frames(case.sea, seed):
-            started = time.process_time()
-            given = matcher.track(frame.time, frame.place, frame.length, frame.angle, case.sea.size)
-            seconds.append(time.process_time() - started)
-            truth.append(frame.truth)
-            numbers.append(given)
-            boxes.append(len(given))
+        truth, numbers = [], []
+        with tracker(case) as track:
+            for frame in frames(case.sea, seed):
+                started = clock()
+                given = track(frame)
+                seconds.append(clock() - started)
+                truth.append(frame.truth)
+                numbers.append(given)
+                boxes.append(len(given))
         found.append(quality(truth, numbers))
     ids, merged, ships = np.median(found, axis=0)
     middle, high = np.percentile(seconds, (50, 90)) * 1e6
@@ -141,6 +190,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument('groups', nargs='*', default=[], metavar='GROUP', help=', '.join(GROUPS))
     parser.add_argument('--crowds', action='store_true', help='only the time of crowded frames')
+    parser.add_argument('--node', action='store_true', help='through the node, over DDS')
     options = parser.parse_args()
     if unknown := {*options.groups} - {*GROUPS}:
         parser.error(f'{", ".join(sorted(unknown))}: choose from {", ".join(GROUPS)}')
@@ -148,7 +198,8 @@ def main() -> None:
         print(text_table(HEAD, crowds()))
         return
     chosen = [case for name in options.groups or GROUPS for case in GROUPS[name]]
-    print(text_table(HEAD, [measure(case) for case in chosen]))
+    way = (node, time.perf_counter) if options.node else (matcher, time.process_time)
+    print(text_table(HEAD, [measure(case, *way) for case in chosen]))
 
 
 if __name__ == '__main__':

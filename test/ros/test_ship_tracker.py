@@ -16,6 +16,10 @@ from harness import Site
 from harness import unexplained
 from harness import values_of
 from lifecycle_msgs.msg import Transition
+from seas import Sea
+from seas import frames
+from seas import quality
+from seas_over_dds import numbers_of
 from sensor_msgs.msg import CameraInfo
 from ships import collection
 from ships import detections
@@ -75,6 +79,17 @@ def test_ships_keep_their_ids_and_all_else_is_as_it_came(begin: Begin) -> None:
     assert seen[0] == seen[1] == seen[2] == seen[3]
     assert len(set(seen[0])) == len(FLEET)
     assert all(map(is_tracker_id, seen[0]))
+
+
+@pytest.mark.once
+@pytest.mark.parametrize('sea', [Sea(ships=300, strip=15e3), Sea(ships=100, strip=15e3, turn=5.0)])
+def test_ships_of_a_strip_keep_their_ids(begin: Begin, sea: Sea) -> None:
+    node = begin(image_width=int(sea.size.real), image_height=int(sea.size.imag))
+    seen = [(frame.truth, numbers_of(node, frame)) for frame in frames(sea, seed=1)]
+    result = quality(*zip(*seen, strict=True))
+    assert result.ships > 90
+    assert result.ids_per_ship <= 1.06
+    assert result.merged <= 0.03
 
 
 def test_the_size_of_the_image_may_come_from_the_camera(begin: Begin) -> None:
