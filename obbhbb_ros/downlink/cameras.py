@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The camera info of an image: the one with its stamp, or else the latest."""
+"""What belongs to an image, such as its camera: that with its stamp, or else the latest."""
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Callable
 from typing import Generic
 from typing import NamedTuple
 from typing import TypeVar
@@ -45,6 +47,15 @@ class CameraMemory(Generic[Camera]):
     """
     The cameras of the last 1000 stamps, none older than an hour.
 
+    Or whatever else belongs to images and comes by itself.
+
+    Parameters
+    ----------
+    max_bytes : float
+        Bytes of what is remembered; the oldest is forgotten first.
+    size_of : callable, optional
+        Returns the bytes of one.
+
     Examples
     --------
     >>> cameras = CameraMemory[str]()
@@ -56,8 +67,11 @@ class CameraMemory(Generic[Camera]):
     CameraChoice(camera='zoomed in', has_stamp=False)
     """
 
-    def __init__(self) -> None:
-        self._by_stamp = StampCache[Camera](lambda reason, _: None)
+    def __init__(
+        self, max_bytes: float = math.inf, size_of: Callable[[Camera], int] = lambda _: 0
+    ) -> None:
+        self._max_bytes = max_bytes
+        self._by_stamp = StampCache[Camera](lambda reason, _: None, size_of)
         # Stamps of images that were cut without their camera.
         self._missed: deque[Stamp] = deque(maxlen=_MAX_MISSED)
         self.clear()
@@ -76,7 +90,7 @@ class CameraMemory(Generic[Camera]):
         self._latest, self._latest_stamp = camera, stamp
         self._by_stamp.expire(now, _MAX_AGE)
         if stamp != ZERO_STAMP:
-            self._by_stamp.put(stamp, camera, now, _MAX_COUNT)
+            self._by_stamp.put(stamp, camera, now, _MAX_COUNT, self._max_bytes)
         if stamp in self._missed:
             self._match = True
 

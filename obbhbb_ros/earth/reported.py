@@ -9,17 +9,23 @@ vertical then has π²/2 added to its variance, the second moment of an error th
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from obbhbb_ros.earth.ellipsoid import east_north_up
 from obbhbb_ros.earth.ellipsoid import to_geodetic
 from obbhbb_ros.earth.placement import Placement
 from obbhbb_ros.earth.placement import ellipses_of
+from obbhbb_ros.earth.pose import PoseError
+from obbhbb_ros.earth.pose_source import EARTH
 from obbhbb_ros.earth.quaternions import matrix_of
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.wire.positions import WirePositions
+from obbhbb_ros.wire.stamp import nanoseconds_of
 
-__all__ = ['position_facts', 'reported_covariances']
+__all__ = ['ShipPlaces', 'reported_covariances']
 
 _EITHER_WAY = math.pi**2 / 2
 
@@ -55,77 +61,95 @@ def reported_covariances(ships: Placement) -> FloatArray:
     return matrices
 
 
-def position_facts(
-    point: FloatArray,
-    attitude: FloatArray,
-    size: FloatArray,
-    covariance: FloatArray,
-    pose_age: float | None,
-    camera_position: FloatArray | None,
-) -> dict[str, object] | None:
+class ShipPlaces:
     """
-    List what the ground is told of the place of a ship.
+    What the ground is told of the places of the ships of an image.
 
     Parameters
     ----------
-    point : ndarray, shape (3,)
-        Its middle, ECEF, metres.
-    attitude : ndarray, shape (4,)
-        Quaternion: x along the hull, z up.
-    size : ndarray, shape (2,)
-        Length and width, metres.
-    covariance : ndarray, shape (6, 6)
-        As `reported_covariances` gives it.
-    pose_age : float or None
-        Seconds between the image and the nearest pose.
-    camera_position : ndarray, shape (3,), or None
+    positions : WirePositions
+        Where they are, in frame `earth`.
+    camera : array_like, shape (3,), optional
         Where the camera was, ECEF, metres.
 
-    Returns
-    -------
-    dict or None
-        `lat` and `lon` (degrees), `course` (degrees from north, clockwise), `course_ambiguous`
-        (the course may be the opposite one), `length_m`, `width_m`, `sigma_m` (half axes of the
-        error ellipse and azimuth of the major one), `look_deg` (between the vertical at the ship
-        and the line to the camera), `pose_age` (s). None for a ship without a place.
-
-    Examples
-    --------
-    >>> facts = position_facts(
-    ...     np.array([6378137.0, 0.0, 0.0]), np.array([0.5, 0.5, 0.5, 0.5]),
-    ...     np.array([90.0, 15.0]), np.full((6, 6), np.nan), 0.1, np.array([6878137.0, 0.0, 0.0])
-    ... )
-    >>> facts['lat'], facts['lon'], facts['course'], facts['sigma_m'], facts['look_deg']
-    (0.0, 0.0, 90.0, None, 0.0)
+    Raises
+    ------
+    PoseError
+        If the positions are in another frame.
     """
-    numbers = (*point, *attitude, *size)
-    if not all(map(math.isfinite, numbers)) or not point.any() or not attitude.any():
-        return None
-    latitude, longitude, _ = (float(value) for value in to_geodetic(point))
-    axes = east_north_up(latitude, longitude)
-    rotation = matrix_of(attitude / math.hypot(*attitude.tolist()))
-    east, north, _ = axes @ rotation[:, 0]
-    is_ambiguous = bool(axes[2] @ covariance[3:, 3:] @ axes[2] > _EITHER_WAY / 2)
-    course = math.degrees(math.atan2(east, north)) % (180.0 if is_ambiguous else 360.0)
-    return {
-        'lat': round(latitude, 7),
-        'lon': round(longitude, 7),
-        'course': round(course, 1),
-        'course_ambiguous': is_ambiguous,
-        'length_m': round(float(size[0]), 1),
-        'width_m': round(float(size[1]), 1),
-        'sigma_m': _ellipse(axes, covariance),
-        'look_deg': _look(axes[2], point, camera_position),
-        'pose_age': None if pose_age is None else round(pose_age, 3),
-    }
+
+    def __init__(self, positions: WirePositions, camera: ArrayLike | None = None) -> None:
+        if positions.frame_id.lstrip('/') != EARTH:
+            raise PoseError(f"positions are in frame '{positions.frame_id}', not '{EARTH}'")
+        self._positions = positions
+        self._camera = None if camera is None else np.asarray(camera, np.float64)
+        counts = Counter(positions.ids)
+        # An id that several ships have names none.
+        self._rows = {
+            text: row for row, text in enumerate(positions.ids) if text and counts[text] == 1
+        }
+
+    def facts(self, ship: str) -> dict[str, object] | None:
+        """
+        List what the ground is told of the place of a ship.
+
+        Parameters
+        ----------
+        ship : str
+            Its id.
+
+        Returns
+        -------
+        dict or None
+            `lat` and `lon` (degrees), `course` (degrees from north, clockwise),
+            `course_ambiguous` (the course may be the opposite one), `length_m`, `width_m`,
+            `sigma_m` (half axes of the error ellipse and azimuth of the major one), `look_deg`
+            (between the vertical at the ship and the line to the camera), `pose_age` (s); null
+            what is not known. None for a ship without a place.
+        """
+        row = self._rows.get(ship)
+        if row is None:
+            return None
+        all_positions = self._positions
+        point, attitude = all_positions.points[row], all_positions.attitudes[row]
+        covariance = all_positions.covariances[row]
+        length, width = all_positions.sizes[row].tolist()
+        with np.errstate(all='ignore'):
+            latitude, longitude, _ = (float(value) for value in to_geodetic(point))
+            axes = east_north_up(latitude, longitude)
+            course, is_ambiguous = _course(axes, attitude, covariance)
+            ellipse, look = _ellipse(axes, covariance), _look(axes[2], point, self._camera)
+        if not all(map(math.isfinite, (latitude, longitude, course, length, width))):
+            return None
+        age = nanoseconds_of(all_positions.stamp) - nanoseconds_of(all_positions.own_stamps[row])
+        return {
+            'lat': round(latitude, 7),
+            'lon': round(longitude, 7),
+            'course': round(course, 1),
+            'course_ambiguous': is_ambiguous,
+            'length_m': round(length, 1),
+            'width_m': round(width, 1),
+            'sigma_m': ellipse,
+            'look_deg': look,
+            'pose_age': round(abs(age) * 1e-9, 3),
+        }
+
+
+def _course(axes: FloatArray, attitude: FloatArray, covariance: FloatArray) -> tuple[float, bool]:
+    """Give the course of a ship, degrees, NaN if it has none; and if it may be the opposite one."""
+    norm = math.hypot(*attitude.tolist())
+    east, north, _ = axes @ matrix_of(attitude / norm)[:, 0]
+    variance = axes[2] @ covariance[3:, 3:] @ axes[2]
+    is_ambiguous = bool(variance > _EITHER_WAY / 2)
+    return math.degrees(math.atan2(east, north)) % (180.0 if is_ambiguous else 360.0), is_ambiguous
 
 
 def _ellipse(axes: FloatArray, covariance: FloatArray) -> list[float] | None:
     """Give the error ellipse of a place; None if it is not known."""
     plane = axes[:2] @ covariance[:3, :3] @ axes[:2].T
-    if not np.isfinite(plane).all():
-        return None
     major, minor, azimuth = ellipses_of(plane[None])[0].tolist()
+    if not math.isfinite(major + minor + azimuth) or not major:
+        return None
     return [round(major, 2), round(minor, 2), round(azimuth, 1)]
 
 
@@ -134,8 +158,5 @@ def _look(up: FloatArray, point: FloatArray, camera: FloatArray | None) -> float
     if camera is None:
         return None
     sight = camera - point
-    distance = math.hypot(*sight.tolist())
-    if not 0.0 < distance < math.inf:
-        return None
-    cosine = float(up @ sight) / distance
-    return round(math.degrees(math.acos(max(-1.0, min(1.0, cosine)))), 2)
+    angle = math.degrees(np.arccos(np.clip(up @ sight / math.hypot(*sight.tolist()), -1.0, 1.0)))
+    return round(angle, 2) if math.isfinite(angle) else None

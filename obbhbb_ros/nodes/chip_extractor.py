@@ -51,6 +51,7 @@ from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import TopicInput
 from obbhbb_ros.nodes.node_topics import reliable
 from obbhbb_ros.nodes.parts import steady_timer
+from obbhbb_ros.nodes.positions_input import PositionsInput
 from obbhbb_ros.nodes.spool_report import SpoolReport
 from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.plausibility import frames_text
@@ -128,9 +129,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     """
     Managed node `chip_extractor`.
 
-    Subscribes to `image`, `crop_regions` and `camera_info`, and with a spool to `crop_sources`;
-    publishes `chip/compressed`, `chip/camera_info`, `chip/detections` and `/diagnostics`. Topics
-    and parameters: `doc/chip_extractor.md`.
+    Subscribes to `image`, `crop_regions` and `camera_info`, and with a spool to `crop_sources`,
+    `positions` and `image_pose`; publishes `chip/compressed`, `chip/camera_info`, `chip/detections`
+    and `/diagnostics`. Topics and parameters: `doc/chip_extractor.md`.
 
     Parameters
     ----------
@@ -163,7 +164,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._images.pair_with(self._plans)
         self._sources = StampCache[list[Source]](self._on_sources_dropped)
         self._cameras = CameraMemory[Camera]()
-        self._paired = FrameQueue[PairedFrame](self._cameras.is_coming)
+        self._paired = FrameQueue[PairedFrame](self._is_coming)
         self._work: FrameInWork | None = None
         # It runs while a frame is in work.
         self._slices = steady_timer(self, 0.0, self._on_slice)
@@ -182,7 +183,9 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         cameras = reliable(CAMERAS_KEPT)
         self.topics.input(CameraInfo, 'camera_info', self._on_camera_info, qos=cameras)
         self._sources_in: TopicInput | None = None
+        self._positions: PositionsInput | None = None
         if self.parameters.settings.spool_path:
+            self._positions = PositionsInput(self, self._catch_up)
             self._sources_in = self.topics.input(
                 Detection2DArray, 'crop_sources', self._on_sources, qos=plans
             )
@@ -260,6 +263,12 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         """Log that chips that wait have other ranks now."""
         fade = self.parameters.settings.spool_fade
         self.get_logger().info(f'spool.fade of the spool is {fade:g} now, it was {before:g}')
+
+    def _is_coming(self, stamp: Stamp) -> bool:
+        """Return whether the camera of an image, or where its ships are, is on its way."""
+        return self._cameras.is_coming(stamp) or (
+            self._positions is not None and self._positions.is_coming(stamp)
+        )
 
     def _on_camera_info(self, data: bytes) -> None:
         """Keep the camera for the image of its stamp."""
@@ -461,7 +470,13 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         if planned.ticket is not None:
             matching = self._matching(plan, sources)
             record = recorder_of(
-                image, plan, matching, codec, camera and camera.facts, self._name_objects
+                image,
+                plan,
+                matching,
+                codec,
+                camera and camera.facts,
+                self._name_objects,
+                None if self._positions is None else self._positions.places(image.stamp),
             )
         yield from frame.steps(cutter.cut, link, record)
 

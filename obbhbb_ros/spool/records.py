@@ -8,6 +8,7 @@ from collections.abc import Callable
 from collections.abc import Sequence
 
 from obbhbb_ros.downlink.chips import EncodedChip
+from obbhbb_ros.earth.reported import ShipPlaces
 from obbhbb_ros.spool.chip_rows import NewChip
 from obbhbb_ros.wire.camera import WireCamera
 from obbhbb_ros.wire.image import WireImage
@@ -22,6 +23,7 @@ def recorder_of(
     codec: str,
     camera: WireCamera | None,
     name_objects: Callable[[Sequence[str]], Sequence[str]],
+    places: ShipPlaces | None = None,
 ) -> Callable[[EncodedChip], NewChip]:
     """
     Return a function that makes the records of the chips of a frame.
@@ -41,6 +43,8 @@ def recorder_of(
         The camera of the image, if it is known.
     name_objects : callable
         Returns the objects of a frame, given the ids of its detections; as `ObjectIds.name`.
+    places : ShipPlaces, optional
+        Where the ships of the image are on Earth.
     """
     detection_ids = plan.detection_ids()
     all_ids = [text for ids in detection_ids for text in ids]
@@ -65,6 +69,8 @@ def recorder_of(
         }
         # A chip of several ships counts for that of its most valuable detection.
         first = source.id or next(iter(detection_ids[chip.index]), '')
+        if places is not None:
+            facts['position'] = places.facts(first)
         object_id = objects.get(first, '')
         return NewChip(source.value, class_id, image.stamp, facts, chip.data, object_id)
 

@@ -33,6 +33,17 @@ MEASURED = {
     'view': 1,
     'rank': 0.8730000257492065,
 }
+POSITION = {
+    'lat': 54.1837214,
+    'lon': 12.0903481,
+    'course': 231.4,
+    'course_ambiguous': False,
+    'length_m': 132.2,
+    'width_m': 26.9,
+    'sigma_m': [14.21, 9.87, 33.1],
+    'look_deg': 21.37,
+    'pose_age': 0.043,
+}
 
 
 def main() -> None:
@@ -45,6 +56,9 @@ def main() -> None:
     rows.append(('all, with digest', str(len(json_bytes(full))), str(len(compact_bytes(short)))))
     print('\n'.join(aligned(rows)))
     assert isinstance(camera, CameraFile)
+    placed = {**full, 'position': POSITION}, {**short, 'position': POSITION}
+    costs = cost(placed[0], 'position', json_bytes), cost(placed[1], 'position', compact_bytes)
+    print(f'with a pose, position costs {costs[0]} and {costs[1]} bytes')
     print(f'the camera once: {len(camera.content)} bytes and {len(camera.json_bytes())} of JSON')
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of a detector over the Earth: places, lengths, courses, and why a ship has none."""
 
+import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +10,10 @@ import pytest
 from cdr import Detection
 from cdr import Message
 from cdr import encode
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros.downlink.cameras import CameraChoice
@@ -19,7 +25,7 @@ from obbhbb_ros.earth.pose_source import VehiclePoses
 from obbhbb_ros.earth.pose_sweep import swept_pose
 from obbhbb_ros.earth.quaternions import matrices_of_vectors
 from obbhbb_ros.earth.quaternions import unit_quaternion
-from obbhbb_ros.earth.reported import position_facts
+from obbhbb_ros.earth.reported import ShipPlaces
 from obbhbb_ros.identification import ShipIdentifier
 from obbhbb_ros.identification import TrackerOutputs
 from obbhbb_ros.pipeline import Output
@@ -31,6 +37,7 @@ from obbhbb_ros.wire.poses import WireAttitude
 from obbhbb_ros.wire.poses import WireFix
 from obbhbb_ros.wire.poses import WirePose
 from obbhbb_ros.wire.poses import read_pose
+from obbhbb_ros.wire.positions import WirePositions
 from obbhbb_ros.wire.positions import read_positions
 
 pytest.importorskip('pyproj')
@@ -46,6 +53,9 @@ ORBIT = Scene(tilt=20.0)
 DRONE = Scene(height=120.0, focal=3000.0, tilt=35.0)
 STAMP, MIDDLE = (100, 0), (100, 500_000_000)
 LEVEL = (0.0, 0.0, 0.0, 1.0)
+HOSTILE = st.one_of(
+    st.floats(-1e7, 1e7), st.sampled_from([0.0, math.nan, math.inf, -math.inf, 1e308, 5e-324])
+)
 COURSES = np.array([10.0, 100.0, 190.0, 280.0, 55.0])
 LENGTHS = np.array([20.0, 60.0, 120.0, 250.0, 9.0])
 
@@ -113,14 +123,7 @@ def known(*poses):
 
 def facts_of(positions, row=0, camera_position=None):
     """Tell what the ground is told of a ship."""
-    return position_facts(
-        positions.points[row],
-        positions.attitudes[row],
-        positions.sizes[row],
-        positions.covariances[row],
-        0.0,
-        camera_position,
-    )
+    return ShipPlaces(positions, camera_position).facts(positions.ids[row])
 
 
 def assert_right(positions, truth):
@@ -342,3 +345,28 @@ def test_poses_in_another_frame_are_refused() -> None:
 def test_settings_that_cannot_work_are_refused(values, words) -> None:
     with pytest.raises(ValueError, match=words):
         SHIP_TRACKER.settings(values)
+
+
+def test_positions_in_another_frame_or_of_ids_that_name_no_ship_are_not_believed() -> None:
+    _, _, positions, _ = placed(ORBIT, known(pose_of(ORBIT)), ORBIT.boxes(*hulls(ORBIT)))
+    ids = ['twice', '', 'twice', *positions.ids[3:]]
+    places = ShipPlaces(replace(positions, ids=ids))
+    assert [places.facts(ship) is not None for ship in ids] == [False, False, False, True, True]
+    assert places.facts('nobody') is None
+    with pytest.raises(PoseError, match="frame 'map', not 'earth'"):
+        ShipPlaces(replace(positions, frame_id='map'))
+
+
+@given(
+    hnp.arrays(np.float64, (1, 7), elements=HOSTILE),
+    hnp.arrays(np.float64, (1, 2), elements=HOSTILE),
+    hnp.arrays(np.float64, (1, 6, 6), elements=HOSTILE),
+    hnp.arrays(np.float64, (3,), elements=HOSTILE),
+)
+@settings(deadline=None)
+def test_hostile_positions_give_facts_that_json_can_express(pose, size, spread, camera) -> None:
+    positions = WirePositions(
+        STAMP, 'earth', ['x'], [''], np.ones(1), pose[:, :3], pose[:, 3:], size, spread, [STAMP]
+    )
+    facts = ShipPlaces(positions, camera).facts('x')
+    json.dumps(facts, allow_nan=False)
