@@ -12,6 +12,7 @@ import argparse
 import json
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable
 from collections.abc import Sequence
 from contextlib import closing
@@ -144,11 +145,13 @@ class Way:
     How chips are ordered.
 
     `exponent`: the value is divided by this power of the bytes. `is_fifo`: the first one first.
+    `by_sightings`: the value is multiplied by n / (n + 1) where its id is seen for the n-th time.
     """
 
     ids: Ids
     exponent: float = 0.0
     is_fifo: bool = False
+    by_sightings: bool = False
 
 
 WAYS = {
@@ -160,6 +163,7 @@ WAYS = {
     'a tracker started again in the middle': Way(restarted),
     'ship_tracker, value by the root of bytes': Way(tracker, 0.5),
     'ship_tracker, value by byte': Way(tracker, 1.0),
+    'ship_tracker, value by sightings': Way(tracker, by_sightings=True),
 }
 
 
@@ -175,14 +179,18 @@ class Delivered(NamedTuple):
     megabytes: float
 
 
-def chips_of(seen: Seen, ids: Sequence[str], way: Way, first: int) -> list[NewChip]:
+def chips_of(
+    seen: Seen, ids: Sequence[str], way: Way, first: int, factors: Floats
+) -> list[NewChip]:
     """Describe the chips of a frame; `first` is the number of the first."""
     frame, score, thing = seen
     width = frame.length / 5.5
     cos, sin = np.abs(np.cos(frame.angle)), np.abs(np.sin(frame.angle))
     pixels = (cos * frame.length + sin * width) * (sin * frame.length + cos * width)
     sizes = (CHIP_BYTES + PIXEL_BYTES * pixels * frame.share).astype(int)
-    values = -np.arange(first, first + len(thing)) if way.is_fifo else score / sizes**way.exponent
+    values = factors * score / sizes**way.exponent
+    if way.is_fifo:
+        values = -np.arange(first, first + len(thing))
     chips = []
     for row, size in enumerate(sizes.tolist()):
         x, y, length = frame.place[row].real, frame.place[row].imag, frame.length[row]
@@ -206,9 +214,12 @@ def fly(seen: list[Seen], way: Way, rate: float, folder: Path) -> Delivered:
     """Store the chips of a strip, release them in a contact, and see what came down."""
     with closing(SpoolWriter(folder / 'spool', _fail)) as writer:
         writer.set_fade(FADE)
-        objects, count = ObjectIds(), 0
+        objects, count, sightings = ObjectIds(), 0, Counter[str]()
         for frame, ids in zip(seen, way.ids(seen), strict=True):
-            chips = chips_of(frame, objects.name(ids, frame.frame.time), way, count)
+            sightings.update(ids)
+            times = np.array([sightings[name] for name in ids], np.float64)
+            factors = times / (times + 1.0) if way.by_sightings else np.ones(len(ids))
+            chips = chips_of(frame, objects.name(ids, frame.frame.time), way, count, factors)
             writer.store(writer.plan(len(chips)), chips, {}, SPOOL)
             count += len(chips)
     outbox = folder / 'outbox'

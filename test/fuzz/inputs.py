@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Feed damaged messages to the other inputs of the nodes: polygons, crop plans, images, camera infos.
+Feed damaged messages to the other inputs of the nodes: polygons, crop plans, images, camera infos,
+and the detections of `ship_tracker`.
 
     python test/fuzz/inputs.py --inputs 200000          # of each kind
 
@@ -34,6 +35,7 @@ from yolo_msgs.msg import DetectionArray
 from yolo_msgs.msg import KeyPoint2D
 from yolo_msgs.msg import Point2D as MaskPoint
 
+from obbhbb_ros.downlink.cameras import CameraChoice
 from obbhbb_ros.downlink.chips import ENCODINGS
 from obbhbb_ros.downlink.chips import PIXEL_FORMATS
 from obbhbb_ros.downlink.chips import ChipError
@@ -41,15 +43,25 @@ from obbhbb_ros.downlink.chips import cut
 from obbhbb_ros.downlink.chips import pixel_format
 from obbhbb_ros.downlink.chips import placed
 from obbhbb_ros.downlink.chips import view_of
+from obbhbb_ros.earth.pose import CameraPose
+from obbhbb_ros.earth.pose_source import PoseAt
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.identification import ShipIdentifier
+from obbhbb_ros.identification import TrackerOutputs
 from obbhbb_ros.pipeline import Batch
+from obbhbb_ros.pipeline import Output
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
+from obbhbb_ros.settings.ship_tracker import SHIP_TRACKER
 from obbhbb_ros.wire.buffer import WireError
+from obbhbb_ros.wire.camera import WireCamera
 from obbhbb_ros.wire.camera import read_camera
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.image import read_image
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 from obbhbb_ros.wire.plans import WirePlan
 from obbhbb_ros.wire.plans import read_sources
+from obbhbb_ros.wire.positions import read_positions
+from obbhbb_ros.wire.stamp import Stamp
 
 EXTREMES = [0.0, -0.0, 5e-324, 1e-308, 1e15, 1e150, 1e154, 1e155, 1.7e308, np.nan, np.inf]
 
@@ -65,6 +77,15 @@ SETTINGS = [
         }
     )
     for policy, merged in (('drop', 0), ('keep', 300))
+]
+
+
+TRACKER_SETTINGS = [
+    SHIP_TRACKER.settings(values)
+    for values in (
+        {'ids': 'assign'},
+        {'pose_type': 'PoseStamped', 'heading': 'theta', 'min_length': 10.0, 'max_length': 1e4},
+    )
 ]
 
 
@@ -192,6 +213,59 @@ def regions_check(data: bytes) -> str:
     return 'read'
 
 
+class Above:
+    """A camera that looks straight down from 500 km, at any time."""
+
+    _pose = CameraPose.from_message((6_878_137.0, 0.0, 0.0), (0.5, 0.5, -0.5, -0.5))
+
+    def has_reached(self, stamp: Stamp) -> bool:
+        """Tell that all has come."""
+        return True
+
+    def at(self, stamp: Stamp, max_age: float, mount: FloatArray) -> PoseAt:
+        """Return the pose."""
+        return PoseAt(self._pose, 0.1)
+
+    def why_not(self, stamp: Stamp) -> str:
+        """There always is a pose."""
+        return ''
+
+    def clear(self) -> None:
+        """Keep it."""
+
+
+def tracker_check(name: str) -> Callable[[bytes], str]:
+    """Do with a message what `ship_tracker` does, after all those before it."""
+    camera = WireCamera(
+        (0, 0),
+        'camera',
+        (640, 480),
+        'plumb_bob',
+        (-0.1, 0.01, 0.0, 0.0, 0.0),
+        (1e5, 0.0, 320.0, 0.0, 1e5, 240.0, 0.0, 0.0, 1.0),
+        (0, 0, 640, 480),
+        (1, 1),
+    )
+    choice = CameraChoice(camera, has_stamp=True)
+    answers: list[bytes] = []
+    outputs = TrackerOutputs(Output(answers.append), Output(answers.append))
+    trackers = [ShipIdentifier(Above()) for _ in TRACKER_SETTINGS]
+
+    def check(data: bytes) -> str:
+        for tracker, settings in zip(trackers, TRACKER_SETTINGS, strict=True):
+            answers.clear()
+            try:
+                tracker.answer(data, INPUT_TYPES[name], settings, choice, outputs)
+            except WireError:
+                return 'refused'
+            *positions, tracked = answers
+            count = len(Detections(tracked, INPUT_TYPES['Detection2DArray']))
+            assert all(len(read_positions(each).ids) == count for each in positions)
+        return 'read'
+
+    return check
+
+
 def camera_check(data: bytes) -> str:
     """Do with a camera info what the conversion node does."""
     try:
@@ -207,6 +281,9 @@ KINDS = {
     'yolo': (yolo_seed, batch_check('DetectionArray')),
     'polygons': (polygons_seed, batch_check('Polygon2DCollection')),
     'polygon': (polygon_seed, batch_check('PolygonStamped')),
+    'tracked detections': (seed_message, tracker_check('Detection2DArray')),
+    'tracked yolo': (yolo_seed, tracker_check('DetectionArray')),
+    'tracked polygons': (polygons_seed, tracker_check('Polygon2DCollection')),
     'regions': (seed_message, regions_check),
     'image': (image_seed, image_check),
     'camera_info': (camera_seed, camera_check),
