@@ -9,6 +9,7 @@ What `ship_tracker` does to a message: bytes and settings in, bytes and counts o
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 from typing import TypeAlias
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.downlink.cameras import CameraChoice
 from obbhbb_ros.earth.pose_source import PoseSource
+from obbhbb_ros.earth.reprojection import Viewpoint
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.pipeline import NOBODY
@@ -29,6 +31,8 @@ from obbhbb_ros.placing import PlacedShips
 from obbhbb_ros.placing import ShipPlacer
 from obbhbb_ros.settings.ship_tracker import TrackerSettings
 from obbhbb_ros.tracking.matcher import ShipMatcher
+from obbhbb_ros.tracking.sightings import Carry
+from obbhbb_ros.tracking.sightings import Places
 from obbhbb_ros.tracking.track_ids import IdWatch
 from obbhbb_ros.tracking.track_ids import new_session
 from obbhbb_ros.tracking.track_ids import tracker_id
@@ -77,6 +81,8 @@ class ShipIdentifier:
         self._matcher = ShipMatcher()
         self._watch = IdWatch()
         self._stamp: Stamp | None = None
+        # Of the last image whose boxes were followed.
+        self._viewpoint: Viewpoint | None = None
 
     @property
     def ships_remembered(self) -> int:
@@ -143,7 +149,9 @@ class ShipIdentifier:
             findings.append(({'messages_without_image_size': 1}, no_size))
         elif not ids or not all(ids):
             passed_boxes = boxes[rows]
-            numbers = self._numbers(detections.stamp, passed_boxes, settings.memory, image_size)
+            numbers = self._numbers(
+                detections.stamp, passed_boxes, settings.memory, image_size, self._carry(placed)
+            )
             findings.append(_untracked(ids, numbers, passed_boxes.valid, detections.stamp))
             ids = self._filled(ids, numbers)
         if placed is not None:
@@ -178,7 +186,12 @@ class ShipIdentifier:
         ]
 
     def _numbers(
-        self, stamp: Stamp, boxes: OrientedBoxes, memory: float, image_size: tuple[int, int]
+        self,
+        stamp: Stamp,
+        boxes: OrientedBoxes,
+        memory: float,
+        image_size: tuple[int, int],
+        carry: Carry | None,
     ) -> NDArray[np.int64]:
         """Follow the boxes of an image; -1 for those that are not followed."""
         self._matcher.memory = memory
@@ -190,8 +203,16 @@ class ShipIdentifier:
             boxes.length[valid],
             boxes.theta[valid],
             complex(*image_size),
+            carry,
         )
         return numbers
+
+    def _carry(self, placed: PlacedShips | None) -> Carry | None:
+        """Tell how the image moved since the last one that was followed, if poses tell it."""
+        before, self._viewpoint = self._viewpoint, None if placed is None else placed.viewpoint
+        if before is None or self._viewpoint is None:
+            return None
+        return partial(_carried, before, self._viewpoint)
 
     def _id_doubts(self, ids: Sequence[str]) -> Finding:
         """Count ids that are no tracks, and complain of them."""
@@ -242,6 +263,13 @@ def _image_boxes(
     return settings.input_frame.oriented_boxes(
         detections.xywhr(), detections.polygons, image_size, bow=settings.has_bow
     )
+
+
+def _carried(before: Viewpoint, after: Viewpoint, places: Places) -> Places:
+    """Tell where what the last image showed is in this one."""
+    x, y = before.pixels_in(after, np.stack((places.real, places.imag), axis=-1)).T
+    carried: Places = x + 1j * y
+    return carried
 
 
 def _placing(placed: PlacedShips | None, left_out: int) -> Finding:

@@ -19,6 +19,7 @@ from obbhbb_ros.earth.pose_source import PoseSource
 from obbhbb_ros.earth.pose_sweep import PoseSweep
 from obbhbb_ros.earth.pose_sweep import swept_pose
 from obbhbb_ros.earth.reported import reported_covariances
+from obbhbb_ros.earth.reprojection import Viewpoint
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.settings.ship_tracker import PlaceSettings
 from obbhbb_ros.wire.camera import WireCamera
@@ -50,8 +51,8 @@ class PlacedShips:
         Stamp of the image.
     placement : Placement
         Where they are; NaN where they have no place.
-    camera : Pinhole or None
-        The camera of the image, if that is known.
+    viewpoint : Viewpoint or None
+        The camera of the image and its pose, if both are known and the same for all of its lines.
     pose : CameraPose, PoseSweep or None
         Its pose, if that is known.
     age : float
@@ -62,7 +63,7 @@ class PlacedShips:
 
     stamp: Stamp
     placement: Placement
-    camera: Pinhole | None
+    viewpoint: Viewpoint | None
     pose: CameraPose | PoseSweep | None
     age: float
     counts: dict[str, int]
@@ -166,13 +167,15 @@ class ShipPlacer:
             heights = settings.surface_height, settings.min_elevation
             ships = place(boxes, pinhole, pose, *heights)
             counts, complaints = _findings(ships.unplaced, stamp)
-            return PlacedShips(stamp, ships, pinhole, pose, age, counts, complaints)
+            view = None
+            if isinstance(pose, CameraPose):
+                view = Viewpoint(pinhole, pose, settings.surface_height)
+            return PlacedShips(stamp, ships, view, pose, age, counts, complaints)
         key, why = reason
         counts = {f'ships_unplaced.{key}': len(boxes)} if len(boxes) else {}
         text = f'the ships at stamp {stamp_text(stamp)} get no place: {why}'
-        known = None if isinstance(pinhole, str) else pinhole
         nowhere = Placement.nowhere(len(boxes))
-        return PlacedShips(stamp, nowhere, known, pose, age, counts, {key: text})
+        return PlacedShips(stamp, nowhere, None, pose, age, counts, {key: text})
 
     def _pose(
         self, stamp: Stamp, height: int, settings: PlaceSettings

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,6 +38,8 @@ class Frame(NamedTuple):
         Which ship; `FALSE_ALARM` for none.
     share : ndarray, shape (N,)
         How much of it is in the image, 0 to 1.
+    view : tuple of complex
+        Factor and shift: pixels are the factor times places in metres, and the shift.
     """
 
     time: float
@@ -45,6 +48,12 @@ class Frame(NamedTuple):
     angle: Floats
     truth: Ints
     share: Floats
+    view: tuple[complex, complex]
+
+    def carry_from(self, last: Frame, error: complex = 0.0) -> Callable[[Places], Places]:
+        """Tell how the image moved since the last one, by poses that are off, metres."""
+        (before, start), (after, end) = last.view, self.view
+        return lambda places: ((places - start) / before + error) * after + end
 
 
 @dataclass(frozen=True)
@@ -143,7 +152,9 @@ def frames(sea: Sea, seed: int) -> Iterator[Frame]:
         ships = _Fleet(
             place, fleet.velocity, fleet.length / gsd, fleet.width / gsd, fleet.angle + swing
         )
-        yield _seen(sea, time, ships, random)
+        factor = np.exp(1j * swing) / gsd
+        view = complex(factor), complex(middle - (offset + middle * sea.gsd) * factor)
+        yield _seen(sea, time, ships, random)._replace(view=view)
 
 
 def _poses(sea: Sea) -> list[tuple[float, complex]]:
@@ -209,7 +220,8 @@ def _seen(sea: Sea, time: float, ships: _Fleet, random: np.random.Generator) -> 
     angles += np.pi * random.integers(0, 2, count)
     truth = np.append(rows, np.full(false, FALSE_ALARM))
     shares = np.append(share[rows], np.ones(false))
-    return Frame(time, *(column[order] for column in (places, lengths, angles, truth, shares)))
+    columns = (column[order] for column in (places, lengths, angles, truth, shares))
+    return Frame(time, *columns, (1.0, 0.0))
 
 
 def _in_frame(size: complex, ships: _Fleet) -> tuple[Places, Floats, Floats]:

@@ -28,6 +28,7 @@ from obbhbb_ros.tracking.shift import fitted
 from obbhbb_ros.tracking.shift import voted_shift
 from obbhbb_ros.tracking.shift import voted_turn
 from obbhbb_ros.tracking.sightings import FIELDS
+from obbhbb_ros.tracking.sightings import Carry
 from obbhbb_ros.tracking.sightings import Motion
 from obbhbb_ros.tracking.sightings import Places
 from obbhbb_ros.tracking.sightings import Rows
@@ -65,6 +66,12 @@ _MIN_HITS = 3
 _MIN_STEADY = 5
 # Weight of a new length or angle.
 _BLEND = 0.3
+# Until it is measured by how much the pose is off from image to image, pixels.
+_POSE_ERROR = 20.0
+# By so much more or less the next image does not show anything.
+_MAX_ZOOM = 1e3
+# Pixels over which turn and scale of the image are taken.
+_ARM = 100.0
 
 
 class _Guess(NamedTuple):
@@ -98,6 +105,8 @@ class ShipMatcher:
         self.memory = memory
         self._objects: Rows = np.zeros(0, FIELDS)
         self._next, self._time, self._noise = 0, -math.inf, _NOISE
+        # By how much the pose is off from image to image, pixels.
+        self._pose_error = _POSE_ERROR
         # Of the middle of the image, px/s.
         self._drift: complex | None = None
 
@@ -113,7 +122,7 @@ class ShipMatcher:
         length: FloatArray,
         angle: FloatArray,
         size: complex,
-        hint: Motion | None = None,
+        carry: Carry | None = None,
     ) -> NDArray[np.int64]:
         """
         Return the numbers of the boxes of the next frame.
@@ -128,8 +137,8 @@ class ShipMatcher:
             Long sides of the boxes, pixels, and their angles, radians.
         size : complex
             Width and height of the image, pixels.
-        hint : Motion, optional
-            How the image moved since the last frame, as far as it is known otherwise.
+        carry : callable, optional
+            Tells by the pose of the camera how the image moved since the last call.
 
         Returns
         -------
@@ -139,10 +148,9 @@ class ShipMatcher:
         """
         numbers = np.full(len(place), -1, np.int64)
         followed = _followed(place, length, angle)
-        if followed.size or not len(place):
-            numbers[followed] = self._track(
-                time, place[followed], length[followed], angle[followed], size, hint
-            )
+        numbers[followed] = self._track(
+            time, place[followed], length[followed], angle[followed], size, carry
+        )
         return numbers
 
     def _track(
@@ -152,14 +160,23 @@ class ShipMatcher:
         length: FloatArray,
         angle: FloatArray,
         size: complex,
-        hint: Motion | None,
+        carry: Carry | None,
     ) -> NDArray[np.int64]:
         """Return the numbers of boxes that are followed."""
         step = time - self._time
         boxes = sightings(time, place, length, angle, self._noise, size)
         objects = self._predicted(time)
-        motion, is_measured = self._motion(objects, boxes, step, size, hint)
+        prior, carried = self._prior(step), None
+        if carry is not None and (carried := motion_of(carry, size / 2)) is not None:
+            objects = _carried(objects, carry, carried)
+            prior = Motion(1.0, 0.0, self._pose_error)
+        motion, is_measured = self._motion(objects, boxes, prior, size)
         objects = motion.of(objects)
+        if carried is not None:
+            if is_measured:
+                # The largest of late, so that a lucky image does not narrow the gates.
+                self._pose_error = max(abs(motion.shift), 0.9 * self._pose_error)
+            motion = motion.after(carried)
         if is_measured and 0.0 < abs(step) < math.inf:
             middle = size / 2
             self._drift = (motion.turn * middle + motion.shift - middle) / step
@@ -198,12 +215,15 @@ class ShipMatcher:
         objects['shared_var'] *= cut
         return objects
 
+    def _prior(self, step: float) -> Motion:
+        """Guess that the image moves as before."""
+        shift = (self._drift or 0.0) * (step if abs(step) < math.inf else 0.0)
+        return Motion(1.0, shift, _DRIFT_ERROR * abs(shift))
+
     def _motion(
-        self, objects: Rows, boxes: Rows, step: float, size: complex, hint: Motion | None
+        self, objects: Rows, boxes: Rows, prior: Motion, size: complex
     ) -> tuple[Motion, bool]:
         """Find how the image moved, and whether that is measured."""
-        shift = (self._drift or 0.0) * (step if abs(step) < math.inf else 0.0)
-        prior = hint or Motion(1.0, shift, _DRIFT_ERROR * abs(shift))
         if not len(objects) or not len(boxes):
             return prior, False
         guess, pairs = self._best_guess(objects, boxes, prior, size)
@@ -259,8 +279,10 @@ class ShipMatcher:
         if not is_steady and (shift := voted_shift(old, new, noise, area, prior.error)) is not None:
             yield _Guess('near', prior.shifted(shift, noise))
         i, j = alike(old, new)
-        if len(i) == 1 and self._drift is None:
-            yield _Guess('lone', prior.shifted(new['place'][j[0]] - old['place'][i[0]], noise))
+        if len(i) == 1:
+            shift = new['place'][j[0]] - old['place'][i[0]]
+            if self._drift is None or abs(shift) < GATE * prior.error:
+                yield _Guess('lone', prior.shifted(shift, noise))
         if (shift := voted_shift(old, new, noise, area)) is not None:
             yield _Guess('shift', prior.shifted(shift, noise))
         if (turn := voted_turn(old, new, noise)) is not None:
@@ -304,6 +326,37 @@ class ShipMatcher:
             measured = self._noise * float(np.median(deviations[steady])) / _MEDIAN
             low, high = _NOISES
             self._noise = min(max(0.9 * self._noise + 0.1 * measured, low), high)
+
+
+def motion_of(carry: Carry, middle: complex) -> Motion | None:
+    """Return how the image moves about its middle; None if that is not known."""
+    start, end = carry(np.array([middle, middle + _ARM], np.complex128)).tolist()
+    turn = (end - start) / _ARM
+    # NaN compares as false.
+    if not abs(start) < MAX_PIXELS or not 1.0 / _MAX_ZOOM < abs(turn) < _MAX_ZOOM:
+        return None
+    return Motion(turn, start - turn * middle, 0.0)
+
+
+def _carried(objects: Rows, carry: Carry, about_middle: Motion) -> Rows:
+    """Move objects as the pose tells; where that is unknown, as the middle of the image."""
+    moved = about_middle.of(objects)
+    middles: Places = objects['place']
+    half = np.asarray(objects['length'] / 2 * np.exp(1j * objects['angle']), np.complex128)
+    place = carry(middles)
+    turn = (carry(middles + half) - place) / half
+    with np.errstate(invalid='ignore', over='ignore'):
+        zoom = np.abs(turn)
+        known = (np.abs(place) < MAX_PIXELS) & (zoom > 1.0 / _MAX_ZOOM) & (zoom < _MAX_ZOOM)
+    ships, turn = objects[known], turn[known]
+    for name in ('speed', 'inner'):
+        ships[name] *= turn
+    ships['inner'] /= np.abs(turn)
+    ships['place'] = place[known]
+    ships['length'] *= np.abs(turn)
+    ships['angle'] += np.angle(turn)
+    moved[known] = ships
+    return moved
 
 
 def _followed(place: Places, length: FloatArray, angle: FloatArray) -> NDArray[np.intp]:

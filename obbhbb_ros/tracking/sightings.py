@@ -10,8 +10,10 @@ end that is in the image: its middle and its length are not seen.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,8 @@ from obbhbb_ros.geometry.boxes import FloatArray
 Rows = NDArray[np.void]
 """Boxes or objects, one a row, with the fields of `FIELDS`."""
 Places = NDArray[np.complex128]
+Carry: TypeAlias = Callable[[Places], Places]
+"""Where what the last image showed is in this one; NaN where that is not known."""
 
 FIELDS = np.dtype(
     [
@@ -80,6 +84,14 @@ class Motion(NamedTuple):
         moved['angle'] += np.angle(self.turn)
         moved['place_var'] += self.error**2
         return moved
+
+    def after(self, first: Motion) -> Motion:
+        """Return the motion that is another one first, then this one."""
+        return Motion(
+            self.turn * first.turn,
+            self.turn * first.shift + self.shift,
+            math.hypot(self.error, first.error),
+        )
 
     def shifted(self, shift: complex, error: float) -> Motion:
         """Return the motion with a further shift, and its error."""

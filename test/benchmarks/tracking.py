@@ -122,6 +122,25 @@ def matcher(case: Case) -> Iterator[Track]:
     )
 
 
+def posed(error: float) -> Callable[[Case], AbstractContextManager[Track]]:
+    """Return what numbers by a matcher that knows poses, each off by an error, metres."""
+
+    @contextmanager
+    def tracker(case: Case) -> Iterator[Track]:
+        made, random = ShipMatcher(case.memory), np.random.default_rng(1)
+        last: list[tuple[Frame, complex]] = []
+
+        def track(frame: Frame) -> Ints:
+            off = complex(*random.normal(0.0, error, 2))
+            carry = frame.carry_from(last[-1][0], off - last[-1][1]) if last else None
+            last[:] = [(frame, off)]
+            return made.track(*frame[:4], case.sea.size, carry)
+
+        yield track
+
+    return tracker
+
+
 @contextmanager
 def node(case: Case) -> Iterator[Track]:
     """Number by a node, which starts for it."""
@@ -191,6 +210,7 @@ def main() -> None:
     parser.add_argument('groups', nargs='*', default=[], metavar='GROUP', help=', '.join(GROUPS))
     parser.add_argument('--crowds', action='store_true', help='only the time of crowded frames')
     parser.add_argument('--node', action='store_true', help='through the node, over DDS')
+    parser.add_argument('--pose', type=float, help='with poses, off by so many metres')
     options = parser.parse_args()
     if unknown := {*options.groups} - {*GROUPS}:
         parser.error(f'{", ".join(sorted(unknown))}: choose from {", ".join(GROUPS)}')
@@ -199,6 +219,8 @@ def main() -> None:
         return
     chosen = [case for name in options.groups or GROUPS for case in GROUPS[name]]
     way = (node, time.perf_counter) if options.node else (matcher, time.process_time)
+    if options.pose is not None:
+        way = posed(options.pose), time.process_time
     print(text_table(HEAD, [measure(case, *way) for case in chosen]))
 
 

@@ -26,6 +26,7 @@ from obbhbb_ros.earth.pose_sweep import swept_pose
 from obbhbb_ros.earth.quaternions import matrices_of_vectors
 from obbhbb_ros.earth.quaternions import unit_quaternion
 from obbhbb_ros.earth.reported import ShipPlaces
+from obbhbb_ros.earth.reprojection import Viewpoint
 from obbhbb_ros.identification import ShipIdentifier
 from obbhbb_ros.identification import TrackerOutputs
 from obbhbb_ros.pipeline import Output
@@ -370,3 +371,39 @@ def test_hostile_positions_give_facts_that_json_can_express(pose, size, spread, 
     )
     facts = ShipPlaces(positions, camera).facts('x')
     json.dumps(facts, allow_nan=False)
+
+
+def test_ships_keep_their_ids_however_the_camera_turns_if_its_pose_is_known() -> None:
+    scenes = [
+        replace(DRONE, tilt=tilt, azimuth=azimuth, latitude=54.2 + move, height=height)
+        for tilt, azimuth, move, height in (
+            (10.0, 0.0, 0.0, 120.0),
+            (25.0, 200.0, 3e-4, 150.0),
+            (15.0, 95.0, 1e-4, 100.0),
+        )
+    ]
+    ships = np.array([(54.2001, 12.1, 20.0, 8.0, 2.0), (54.20005, 12.10008, 120.0, 12.0, 3.0)])
+    source, tracker = CameraPoses(), None
+    seen = []
+    for number, scene in enumerate(scenes):
+        stamp = (100 + number, 0)
+        source.add(pose_of(scene, stamp))
+        tracker = tracker or Tracker(source)
+        boxes = scene.boxes(*ships.T)[[number % 2, 1 - number % 2]]
+        _, tracked, _, _ = tracker.answer(message_of(boxes, stamp), camera_of(scene))
+        seen.append(tracked.ids()[:: 1 - 2 * (number % 2)])
+    assert seen[0] == seen[1] == seen[2]
+    assert len({*seen[0]}) == 2
+
+
+@given(st.floats(0, 80), st.floats(0, 360), st.floats(0, 80), st.floats(0, 360), st.integers(0, 99))
+def test_what_an_image_shows_is_found_in_another_and_back(
+    tilt, azimuth, other, toward, seed
+) -> None:
+    scenes = replace(DRONE, tilt=tilt, azimuth=azimuth), replace(DRONE, tilt=other, azimuth=toward)
+    first, second = (Viewpoint(scene.camera, scene.pose(), 0.0) for scene in scenes)
+    pixels = np.random.default_rng(seed).uniform((0, 0), (4096, 3072), (50, 2))
+    there = first.pixels_in(second, pixels)
+    back = second.pixels_in(first, there)
+    known = np.isfinite(back).all(axis=1)
+    np.testing.assert_allclose(back[known], pixels[known], atol=1e-3)

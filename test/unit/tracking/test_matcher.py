@@ -18,7 +18,6 @@ from obbhbb_ros.tracking.matcher import MAX_BOXES
 from obbhbb_ros.tracking.matcher import MAX_OBJECTS
 from obbhbb_ros.tracking.matcher import ShipMatcher
 from obbhbb_ros.tracking.shift import fitted
-from obbhbb_ros.tracking.sightings import Motion
 
 SIZE = 4000 + 3000j
 SPARSE = Sea(ships=20, berthed=0.0, strip=15e3)
@@ -32,6 +31,19 @@ def tracked(sea, seed=1, matcher=None):
     seen = [*frames(sea, seed)]
     numbers = [matcher.track(*frame[:4], sea.size) for frame in seen]
     return quality([frame.truth for frame in seen], numbers)
+
+
+def followed_by_pose(sea, seed, error):
+    """Follow the ships of a sea by poses that are off, metres; how good the numbers are."""
+    matcher, truth, numbers, last = ShipMatcher(), [], [], None
+    errors = np.random.default_rng(seed).normal(0.0, 1.0, (1000, 2)) @ [error, 1j * error]
+    for number, frame in enumerate(frames(sea, seed)):
+        off = errors[number] - errors[number - 1]
+        carry = None if last is None else frame.carry_from(last, off)
+        numbers.append(matcher.track(*frame[:4], sea.size, carry))
+        truth.append(frame.truth)
+        last = frame
+    return quality(truth, numbers)
 
 
 def still_fleet(seed, count=12):
@@ -85,8 +97,36 @@ def test_a_hint_finds_a_lone_ship_anywhere() -> None:
         place = np.array([1000 + 1000j + 20 * number])
         (first,) = matcher.track(0.1 * number, place, length, angle, SIZE)
     place = np.array([2500 + 1900j])
-    hint = Motion(1.0, place[0] - 1080 - 1000j, 10.0)
-    assert matcher.track(0.5, place, length, angle, SIZE, hint) == [first]
+    moved = place[0] - 1080 - 1000j
+    assert matcher.track(0.5, place, length, angle, SIZE, lambda at: at + moved) == [first]
+
+
+@pytest.mark.parametrize(('ships', 'error'), [(10, 0.0), (10, 20.0), (100, 0.0), (100, 20.0)])
+@pytest.mark.parametrize('change', [{}, {'turn': 90.0, 'zoom': 0.3}])
+def test_with_a_pose_ships_keep_their_number_whatever_the_camera_does(ships, error, change) -> None:
+    sea = Sea(ships=ships, berthed=0.0, turns_at=20, **change)
+    qualities = [followed_by_pose(sea, seed, error) for seed in range(1, 6)]
+    assert np.median([one.ids_per_ship for one in qualities]) <= 1.03
+    assert np.median([one.merged for one in qualities]) == 0.0
+
+
+def test_a_ship_that_left_the_image_is_known_again_where_the_pose_says_that_it_is() -> None:
+    matcher, length, angle = ShipMatcher(memory=100.0), np.array([50.0]), np.array([0.3])
+    numbers, shift = [], 0.0
+    for time, now in ((0.0, 0.0), (1.0, 9000.0), (2.0, -9000.0), (50.0, 200.0)):
+        rows = slice(0, int(abs(now) < 1000))
+        place, moved = np.array([500.0 + now + 500j]), now - shift
+        carry = None if time == 0.0 else lambda at, moved=moved: at + moved
+        numbers += matcher.track(time, place[rows], length[rows], angle[rows], SIZE, carry).tolist()
+        shift = now
+    assert numbers == [0, 0]
+
+
+def test_where_the_pose_knows_nothing_the_boxes_alone_count() -> None:
+    matcher, (place, length, angle) = ShipMatcher(), still_fleet(1)
+    first = matcher.track(0.0, place, length, angle, SIZE)
+    nothing = lambda at: np.full(len(at), complex(np.nan, np.nan))  # noqa: E731
+    assert (matcher.track(0.1, place + 30, length, angle, SIZE, nothing) == first).all()
 
 
 @given(st.integers(0, 1000), st.randoms(use_true_random=False))
