@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A ship of a ship list: where it was, how large, on what course, when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from obbhbb_ros.errors import ObbhbbError
+
+__all__ = ['MAX_LIST_BYTES', 'ShipListError', 'ShipReport', 'value_order']
+
+MAX_LIST_BYTES = 2**24
+"""Maximum size of a list that is read, unpacked: some 50,000 ships."""
+
+
+class ShipListError(ObbhbbError, ValueError):
+    """A file is no ship list, or a damaged one; the text says why."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShipReport:
+    """
+    What a ship list says of a ship.
+
+    Attributes
+    ----------
+    id : str
+        Its id, as in `tracked_detections`; empty if it is not known.
+    latitude, longitude : float
+        Degrees, WGS84.
+    course : float
+        Degrees from north, clockwise: of the bow, in [0, 360); of either end, in [0, 180), where
+        `course_ambiguous`.
+    course_ambiguous : bool
+        Whether the course may be the opposite one.
+    length_m, width_m : float
+        Metres.
+    sigma_m : tuple of float, or None
+        Half the major and half the minor axis of the error ellipse (one standard deviation,
+        metres), and the azimuth of the major one in degrees from north; None if not known.
+    class_id : str
+        Its class; empty if it is not known.
+    score : float or None
+        Its score; None if it is not known.
+    first, last : int
+        Stamps of the first and the last image with the ship, nanoseconds since 1970.
+    views : int
+        Number of images that show it, at least 1.
+    speed, speed_sigma : float or None
+        Speed over ground and its standard deviation, m/s; None where it is not significant.
+    course_over_ground, course_over_ground_sigma : float or None
+        Degrees from north, clockwise, and its standard deviation; None where not significant.
+    """
+
+    id: str
+    latitude: float
+    longitude: float
+    course: float
+    course_ambiguous: bool
+    length_m: float
+    width_m: float
+    sigma_m: tuple[float, float, float] | None = None
+    class_id: str = ''
+    score: float | None = None
+    first: int
+    last: int
+    views: int = 1
+    speed: float | None = None
+    speed_sigma: float | None = None
+    course_over_ground: float | None = None
+    course_over_ground_sigma: float | None = None
+
+
+def value_order(ship: ShipReport) -> tuple[float, int, str]:
+    """
+    Return a key that sorts ships by their value: by score, the latest of equals first.
+
+    Examples
+    --------
+    >>> tug = ShipReport(
+    ...     id='a-1', latitude=36.1, longitude=-5.4, course=12.0, course_ambiguous=True,
+    ...     length_m=30.0, width_m=9.0, score=0.5, first=5, last=5,
+    ... )
+    >>> value_order(tug)
+    (-0.5, -5, 'a-1')
+    """
+    return -(ship.score or 0.0), -ship.last, ship.id
