@@ -29,6 +29,7 @@ from obbhbb_ros.pipeline import known_image_size
 from obbhbb_ros.pipeline import no_size_complaint
 from obbhbb_ros.placing import PlacedShips
 from obbhbb_ros.placing import ShipPlacer
+from obbhbb_ros.reports.seen_ships import ShipCollector
 from obbhbb_ros.settings.ship_tracker import TrackerSettings
 from obbhbb_ros.tracking.matcher import ShipMatcher
 from obbhbb_ros.tracking.sightings import Carry
@@ -68,6 +69,8 @@ class ShipIdentifier:
     ----------
     poses : PoseSource, optional
         Knows where the camera is; needed where the settings say how to place ships.
+    collector : ShipCollector, optional
+        Takes note of the ships that have a place.
 
     Attributes
     ----------
@@ -75,8 +78,11 @@ class ShipIdentifier:
         First half of the ids that it gives, drawn anew for each object of this class.
     """
 
-    def __init__(self, poses: PoseSource | None = None) -> None:
+    def __init__(
+        self, poses: PoseSource | None = None, collector: ShipCollector | None = None
+    ) -> None:
         self.session = new_session()
+        self._collector = collector
         self._placer = None if poses is None else ShipPlacer(poses)
         self._matcher = ShipMatcher()
         self._watch = IdWatch()
@@ -117,14 +123,14 @@ class ShipIdentifier:
         Returns
         -------
         ConversionOutcome
-            What became of it. If no answer is wanted, the message is not read.
+            What became of it. If no answer is wanted, and no list, the message is not read.
 
         Raises
         ------
         obbhbb_ros.wire.buffer.WireError
             If the bytes are no such message.
         """
-        if not outputs.wanted():
+        if self._collector is None and not outputs.wanted():
             return ConversionOutcome({'messages_without_subscriber': 1}, {})
         detections = Detections(data, input_type)
         image_size, used = known_image_size(settings.image_size, camera)
@@ -157,6 +163,7 @@ class ShipIdentifier:
         if placed is not None:
             # First, so that they are there when the chips are cut.
             _publish_places(placed, detections, ids, rows, outputs)
+            findings.append(self._collected(placed, detections, boxes, ids, rows, image_size))
         outputs.tracked.publish(_with_ids(detections, own, ids, rows, settings))
         counts: dict[str, int] = {}
         complaints: dict[str, str] = {}
@@ -177,6 +184,32 @@ class ShipIdentifier:
             return None
         known = None if camera is None else camera.camera
         return self._placer.place(boxes, stamp, known, settings.place)
+
+    def _collected(
+        self,
+        placed: PlacedShips,
+        detections: Detections,
+        boxes: OrientedBoxes,
+        ids: Sequence[str],
+        rows: NDArray[np.intp],
+        image_size: tuple[int, int] | None,
+    ) -> Finding:
+        """Note the ships of an image for the next list, and count those that are not in it."""
+        if self._collector is None or image_size is None:
+            return {}, {}
+        classes = detections.class_ids()
+        corners = boxes[rows].corners
+        inside = (corners > 1.0) & (corners < np.array(image_size) - 1.0)
+        whole: NDArray[np.bool_] = np.asarray(inside.reshape(len(rows), -1).all(axis=1))
+        unlisted = self._collector.note(
+            nanoseconds_of(detections.stamp),
+            ids,
+            [classes[row] for row in rows.tolist()],
+            detections.scores()[rows],
+            whole,
+            placed.placement[rows],
+        )
+        return ({'ships_unlisted': unlisted}, {}) if unlisted else ({}, {})
 
     def _filled(self, ids: Sequence[str], numbers: NDArray[np.int64]) -> list[str]:
         """Give ids to detections without one, by their numbers."""

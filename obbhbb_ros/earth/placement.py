@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from dataclasses import replace
 from enum import IntEnum
 
 import numpy as np
@@ -94,6 +95,11 @@ class Placement:
     has_bow: NDArray[np.bool_]
     covariance: FloatArray | None
     unplaced: NDArray[np.uint8]
+
+    def __getitem__(self, rows: NDArray[np.intp]) -> Placement:
+        """Select ships by their rows."""
+        arrays = {name: array for name, array in vars(self).items() if array is not None}
+        return replace(self, **{name: array[rows] for name, array in arrays.items()})
 
     @property
     def attitudes(self) -> FloatArray:

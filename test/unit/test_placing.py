@@ -30,6 +30,7 @@ from obbhbb_ros.earth.reprojection import Viewpoint
 from obbhbb_ros.identification import ShipIdentifier
 from obbhbb_ros.identification import TrackerOutputs
 from obbhbb_ros.pipeline import Output
+from obbhbb_ros.reports.seen_ships import ShipCollector
 from obbhbb_ros.settings.ship_tracker import SHIP_TRACKER
 from obbhbb_ros.wire.camera import WireCamera
 from obbhbb_ros.wire.detections import Detections
@@ -407,3 +408,16 @@ def test_what_an_image_shows_is_found_in_another_and_back(
     back = second.pixels_in(first, there)
     known = np.isfinite(back).all(axis=1)
     np.testing.assert_allclose(back[known], pixels[known], atol=1e-3)
+
+
+def test_ships_with_a_place_are_noted_for_the_next_list() -> None:
+    truth, collector = hulls(ORBIT), ShipCollector()
+    tracker = Tracker(known(pose_of(ORBIT)), min_length=10.0)
+    tracker.identifier = ShipIdentifier(known(pose_of(ORBIT)), collector)
+    boxes = ORBIT.boxes(*truth)
+    _, tracked, _, _ = tracker.answer(message_of(boxes), camera_of(ORBIT))
+    ships = collector.take()
+    assert [ship.id for ship in ships] == tracked.ids()
+    assert [ship.length_m for ship in ships] == pytest.approx(truth[3][:4], rel=0.01)
+    assert [ship.course for ship in ships] == pytest.approx(truth[2][:4], abs=0.1)
+    assert all(ship.first == 100_500_000_000 for ship in ships)

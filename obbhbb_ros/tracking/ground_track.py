@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Speed and course over ground of a ship, from its places in several images."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+__all__ = ['GroundTrack', 'Velocity']
+
+# Standard deviations from which a speed is told apart from none.
+_SIGNIFICANT = 3.0
+# No ship is faster, m/s: two ships share an id.
+_MAX_SPEED = 50.0
+_MIN_VIEWS = 3
+
+
+class Velocity(NamedTuple):
+    """
+    A speed over ground, and its course.
+
+    Attributes
+    ----------
+    speed, speed_sigma : float
+        m/s.
+    course, course_sigma : float
+        Degrees from north, clockwise, in [0, 360).
+    """
+
+    speed: float
+    speed_sigma: float
+    course: float
+    course_sigma: float
+
+
+class GroundTrack:
+    """
+    A straight line through the places of a ship, by weighted least squares.
+
+    It takes the same memory for any number of places.
+
+    Examples
+    --------
+    >>> track = GroundTrack()
+    >>> for second in range(10):
+    ...     track.add(second, 6.0 * second, 8.0 * second, variance=1.0)
+    >>> velocity = track.velocity()
+    >>> round(velocity.speed, 3), round(velocity.speed_sigma, 3), round(velocity.course, 3)
+    (10.0, 0.11, 36.87)
+    """
+
+    __slots__ = ('_e', '_ee', '_n', '_nn', '_te', '_tn', '_tt', '_w', '_wt', 'is_weighted', 'views')
+
+    def __init__(self) -> None:
+        self.views, self.is_weighted = 0, True
+        self._w = self._wt = self._tt = 0.0
+        self._e = self._n = self._te = self._tn = self._ee = self._nn = 0.0
+
+    def add(self, time: float, east: float, north: float, variance: float | None) -> None:
+        """
+        Add a place.
+
+        Parameters
+        ----------
+        time : float
+            Seconds since any moment near.
+        east, north : float
+            Metres from any place near.
+        variance : float or None
+            Of the place in each direction, m²; None if it is not known.
+        """
+        is_known = variance is not None and variance > 0.0
+        self.views += 1
+        self.is_weighted &= is_known
+        weight = 1.0 / variance if variance is not None and is_known else 1.0
+        self._w += weight
+        self._wt += weight * time
+        self._tt += weight * time * time
+        self._e += weight * east
+        self._n += weight * north
+        self._te += weight * time * east
+        self._tn += weight * time * north
+        self._ee += weight * east * east
+        self._nn += weight * north * north
+
+    def velocity(self) -> Velocity | None:
+        """
+        Fit speed and course.
+
+        The uncertainty is that of the places, or that of their distances from the line, whichever
+        is larger.
+
+        Returns
+        -------
+        Velocity or None
+            None with fewer than three places, if the ship may lie still (less than three standard
+            deviations), or if it would be faster than any ship.
+        """
+        if self.views < _MIN_VIEWS:
+            return None
+        spread = self._w * self._tt - self._wt**2
+        if not spread > 1e-9 * self._w * self._tt:
+            return None
+        east = (self._w * self._te - self._wt * self._e) / spread
+        north = (self._w * self._tn - self._wt * self._n) / spread
+        variance = self._residual(east, north)
+        if self.is_weighted:
+            variance = max(variance, 1.0)
+        sigma = math.sqrt(variance * self._w / spread)
+        speed = math.hypot(east, north)
+        if not _SIGNIFICANT * sigma < speed < _MAX_SPEED:
+            return None
+        course = math.degrees(math.atan2(east, north)) % 360.0
+        return Velocity(speed, sigma, course, math.degrees(sigma / speed))
+
+    def _residual(self, east: float, north: float) -> float:
+        """Return the weighted variance of the places about the line, of a direction."""
+        total = 0.0
+        for squares, placed, timed, speed in (
+            (self._ee, self._e, self._te, east),
+            (self._nn, self._n, self._tn, north),
+        ):
+            start = (placed - speed * self._wt) / self._w
+            total += max(squares - start * placed - speed * timed, 0.0)
+        # Two directions, two numbers each.
+        return total / (2 * self.views - 4)

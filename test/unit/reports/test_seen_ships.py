@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Of every ship the best view, all of its views counted, and its way if it has one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from obbhbb_ros import OrientedBoxes
+from obbhbb_ros.earth.pinhole import Pinhole
+from obbhbb_ros.earth.placement import place
+from obbhbb_ros.earth.pose import CameraPose
+from obbhbb_ros.reports.seen_ships import MAX_SHIPS
+from obbhbb_ros.reports.seen_ships import ShipCollector
+from obbhbb_ros.reports.seen_ships import joined_reports
+
+# 500 km above the equator, image up to the north, 1.5 m a pixel.
+CAMERA = Pinhole([1e6 / 3, 0, 511.5, 0, 1e6 / 3, 511.5, 0, 0, 1])
+SECOND = 1_000_000_000
+
+
+def places_of(rows, sigma=5.0, bow=False):
+    """Place boxes; the pose is known to some metres."""
+    spread = np.diag([sigma**2] * 3 + [1e-16] * 3) if sigma else None
+    pose = CameraPose.from_message([6878137, 0, 0], [0.5, 0.5, -0.5, -0.5], spread)
+    return place(OrientedBoxes.from_xywhr(rows, bow=bow), CAMERA, pose)
+
+
+def note(collector, second, rows, ids, scores=None, whole=None, classes=None, **kwargs):
+    """Note an image."""
+    count = len(ids)
+    return collector.note(
+        second * SECOND,
+        ids,
+        classes or ['ship'] * count,
+        np.array([0.5] * count if scores is None else scores),
+        np.ones(count, bool) if whole is None else np.array(whole),
+        places_of(rows, **kwargs),
+    )
+
+
+def test_the_view_with_the_smallest_uncertainty_tells_where_a_ship_is() -> None:
+    collector = ShipCollector()
+    for second, (x, sigma) in enumerate([(300, 9.0), (310, 4.0), (320, 7.0)]):
+        note(collector, second, [[x, 500, 60, 10, 0.0]], ['s-1'], sigma=sigma)
+    (ship,) = collector.take()
+    expected = places_of([[310, 500, 60, 10, 0.0]])
+    assert ship.longitude == expected.longitude[0]
+    assert ship.length_m == pytest.approx(90.0, abs=0.1)
+    assert ship.sigma_m[0] == pytest.approx(4.0, rel=0.1)
+    assert (ship.first, ship.last, ship.views) == (0, 2 * SECOND, 3)
+    assert len(collector) == 0
+    assert collector.take() == []
+
+
+def test_a_whole_ship_comes_before_one_that_the_border_cuts() -> None:
+    collector = ShipCollector()
+    note(collector, 0, [[20, 500, 40, 10, 0.0]], ['s-1'], whole=[False], sigma=1.0)
+    note(collector, 1, [[60, 500, 60, 10, 0.0]], ['s-1'], whole=[True], sigma=9.0)
+    note(collector, 2, [[20, 500, 30, 10, 0.0]], ['s-1'], whole=[False], sigma=2.0)
+    (ship,) = collector.take()
+    assert ship.length_m == pytest.approx(90.0, abs=0.1)
+
+
+def test_class_and_score_are_the_most_certain_ones() -> None:
+    collector, row = ShipCollector(), [[300, 500, 60, 10, 0.0]]
+    for second, (name, score) in enumerate(
+        [('boat', np.nan), ('tug', 0.4), ('ferry', 0.9), ('boat', 0.7)]
+    ):
+        note(collector, second, row, ['s-1'], classes=[name], scores=[score])
+    (ship,) = collector.take()
+    assert (ship.class_id, ship.score) == ('ferry', 0.9)
+    note(collector, 9, row, ['s-1'], classes=['boat'], scores=[np.nan])
+    (ship,) = collector.take()
+    assert (ship.class_id, ship.score) == ('boat', None)
+
+
+@pytest.mark.parametrize('step', [-8.0, 8.0])
+def test_a_ship_under_way_has_speed_and_course_and_its_bow_is_known(step) -> None:
+    collector = ShipCollector()
+    for second in range(12):
+        note(collector, second, [[500 + step * second, 500, 60, 10, 0.02]], ['s-1'], sigma=2.0)
+    (ship,) = collector.take()
+    assert ship.speed == pytest.approx(12.0, rel=0.01)
+    assert 3 * ship.speed_sigma < ship.speed
+    east = 90.0 if step > 0 else 270.0
+    assert ship.course_over_ground == pytest.approx(east, abs=0.5)
+    assert not ship.course_ambiguous
+    assert ship.course == pytest.approx(east + np.degrees(0.02), abs=0.1)
+
+
+def test_a_ship_that_drifts_across_has_a_way_but_no_known_bow() -> None:
+    collector = ShipCollector()
+    for second in range(12):
+        note(collector, second, [[500 + 8 * second, 500, 60, 10, 1.5]], ['s-1'], sigma=2.0)
+    (ship,) = collector.take()
+    assert ship.speed == pytest.approx(12.0, rel=0.01)
+    assert ship.course_ambiguous
+
+
+def test_a_ship_at_rest_has_no_speed() -> None:
+    collector = ShipCollector()
+    for second in range(12):
+        note(collector, second, [[500, 500, 60, 10, 0.3]], ['s-1'])
+    (ship,) = collector.take()
+    assert ship.speed is ship.course_over_ground is None
+
+
+def test_ships_without_a_place_or_an_id_are_not_listed_and_the_latter_counted() -> None:
+    collector = ShipCollector()
+    rows = [[300, 500, 60, 10, 0.0], [1e9, 500, 60, 10, 0.0], [600, 500, 60, 10, 0.0]]
+    assert note(collector, 0, rows, ['s-1', 's-2', '']) == 1
+    assert [ship.id for ship in collector.take()] == ['s-1']
+
+
+def test_memory_is_bounded() -> None:
+    collector = ShipCollector()
+    rows = [[300, 500, 60, 10, 0.0]] * (MAX_SHIPS + 5)
+    assert note(collector, 0, rows, [f's-{i}' for i in range(len(rows))], sigma=None) == 5
+    assert len(collector) == MAX_SHIPS
+    # Those that are known are noted all the same.
+    assert note(collector, 1, rows[:3], ['s-0', 's-1', 'new'], sigma=None) == 1
+
+
+def test_two_lists_of_one_ship_are_joined() -> None:
+    collector = ShipCollector()
+    note(collector, 0, [[300, 500, 60, 10, 0.0]], ['s-1'], scores=[0.9], sigma=3.0)
+    (early,) = collector.take()
+    note(collector, 9, [[340, 500, 60, 10, 0.0]], ['s-1'], scores=[0.4], sigma=6.0)
+    (late,) = collector.take()
+    both = joined_reports(early, late)
+    assert both == replace(early, last=late.last, views=2)
+    assert joined_reports(replace(early, sigma_m=None), late).sigma_m == late.sigma_m
