@@ -44,6 +44,11 @@ TOPICS = (
     'crop_regions',
     'crop_sources',
     'tracked_detections',
+    'camera_pose',
+    'fix',
+    'attitude',
+    'positions',
+    'image_pose',
 )
 
 
