@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from obbhbb_ros.errors import ObbhbbError
 
-__all__ = ['MAX_LIST_BYTES', 'ShipListError', 'ShipReport', 'value_order']
+__all__ = ['MAX_LIST_BYTES', 'ShipListError', 'ShipReport', 'most_valuable', 'value_order']
 
 MAX_LIST_BYTES = 2**24
 """Maximum size of a list that is read, unpacked: some 50,000 ships."""
@@ -85,3 +86,11 @@ def value_order(ship: ShipReport) -> tuple[float, int, str]:
     (-0.5, -5, 'a-1')
     """
     return -(ship.score or 0.0), -ship.last, ship.id
+
+
+def most_valuable(ships: Sequence[ShipReport], count: int) -> list[ShipReport]:
+    """Return the most valuable ships, at most `count`, in the order in which they are given."""
+    if count >= len(ships):
+        return list(ships)
+    ranked = sorted(range(len(ships)), key=lambda row: value_order(ships[row]))
+    return [ships[row] for row in sorted(ranked[:count])]

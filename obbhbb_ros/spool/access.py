@@ -31,14 +31,19 @@ class SpoolAccess:
         Folder of the spool; created if it is missing.
     on_trouble : callable
         Called with a text about anything that an operator should know and that raises no error.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of the spool.
     """
 
     # Seconds to wait for another process.
     _patience = 5.0
 
     def __init__(self, folder: Path, on_trouble: Callable[[str], object]) -> None:
-        self._folder, self._on_trouble = Path(folder), on_trouble
-        self._catalogue = Catalogue(self._folder, SCHEMA, on_trouble, self._on_open, self._patience)
+        self.folder, self._on_trouble = Path(folder), on_trouble
+        self._catalogue = Catalogue(self.folder, SCHEMA, on_trouble, self._on_open, self._patience)
 
     def status(self) -> Status:
         """Read the books."""
@@ -73,7 +78,7 @@ class SpoolAccess:
 
     def _report_restored(self) -> None:
         """Report that damage to the books was made good."""
-        self._on_trouble(f'{self._folder}: damaged books are restored from their copy')
+        self._on_trouble(f'{self.folder}: damaged books are restored from their copy')
 
     def _on_open(self, rows: sqlite3.Cursor) -> None:
         """Prepare a catalogue that has just been opened."""

@@ -30,7 +30,7 @@ from obbhbb_ros.damaged_sqlite import lossy_text
 from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.files import sync_folder
 
-_NAME = re.compile(r'chips_([0-9]+)_[0-9a-f]{6}\.sqlite3')
+_NAME = re.compile(r'[a-z]+_([0-9]+)_[0-9a-f]{6}\.sqlite3')
 DAMAGED = '.damaged'
 """Suffix of the mark beside a damaged database."""
 # Suffix of the mark beside a database whose indexes were rebuilt, or were to be.
@@ -65,12 +65,15 @@ class CatalogueSchema(NamedTuple):
         Makes them of those of the version before, by a cursor in a transaction.
     on_rebuilt : callable
         Writes down that their indexes were rebuilt, by a cursor in the same transaction.
+    content : str
+        What they hold; the names of the files begin with it.
     """
 
     version: int
     script: str
     migrate: Callable[[sqlite3.Cursor], object]
     on_rebuilt: Callable[[sqlite3.Cursor], object]
+    content: str = 'chips'
 
 
 class Catalogue:
@@ -376,12 +379,13 @@ class Catalogue:
     def _new_path(self) -> Path:
         """Return a name that no database had."""
         number = max(map(_number, catalogue_files(self._folder)), default=0)
-        return self._folder / f'chips_{number + 1:04d}_{secrets.token_hex(3)}.sqlite3'
+        name = f'{self._schema.content}_{number + 1:04d}_{secrets.token_hex(3)}.sqlite3'
+        return self._folder / name
 
 
 def catalogue_files(folder: Path) -> list[Path]:
     """List the databases of a folder, the oldest first, damaged ones as well."""
-    paths = (path for path in folder.glob('chips_*') if _NAME.fullmatch(path.name))
+    paths = (path for path in folder.glob('*_*.sqlite3') if _NAME.fullmatch(path.name))
     return sorted((path for path in paths if path.is_file()), key=_number)
 
 

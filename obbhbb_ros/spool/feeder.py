@@ -34,6 +34,8 @@ from obbhbb_ros.spool.compact_json import compact_bytes
 from obbhbb_ros.spool.compact_json import names_camera
 from obbhbb_ros.spool.compact_json import shortened
 from obbhbb_ros.spool.compact_json import without_camera
+from obbhbb_ros.spool.list_feeder import ListFeeder
+from obbhbb_ros.spool.list_spool import ListSpool
 from obbhbb_ros.spool.outbox import Contents
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.outbox import json_bytes
@@ -136,6 +138,7 @@ class OutboxFeeder:
     ) -> None:
         self.stalled_by, self.available, self.signs, self.cameras = '', 0.0, 0, 0
         self._spool, self._outbox = spool, outbox
+        self._lists = ListFeeder(ListSpool(spool.folder, on_trouble), on_trouble, clock)
         self._on_trouble, self._clock = on_trouble, clock
         # One attribute, so that another thread sets both at once.
         self._orders = (settings, False)
@@ -199,6 +202,7 @@ class OutboxFeeder:
     def close(self) -> None:
         """Close spool and outbox."""
         self._spool.close()
+        self._lists.close()
         self._outbox.close()
 
     def _recover(self) -> None:
@@ -214,7 +218,9 @@ class OutboxFeeder:
         # A camera is put there again with the next chip that names it.
         self._known_cameras.clear()
         cameras = set(filter(names_camera, contents.ids - contents.complete))
-        self._outbox.remove_unfinished(missing | cameras)
+        is_delivered = not self.settings.removal
+        lists = self._lists.recover(contents, self._spool.outbox(), is_delivered)
+        self._outbox.remove_unfinished(missing | cameras | lists)
 
     def _check_outbox(self) -> None:
         """Refuse an outbox that is not the one that chips have gone into; it may be unmounted."""
@@ -259,13 +265,14 @@ class OutboxFeeder:
             return
         # Chips that wait for their removal still do after a change of settings.
         released = self._spool.ids(ChipState.RELEASED)
-        if not (settings.removal or settings.max_bytes or released):
+        if not (settings.removal or settings.max_bytes or released or self._lists.has_released()):
             return
         self._check_outbox()
         self._contents = self._outbox.contents()
         # It may have been unmounted while it was read.
         self._check_outbox()
         self._spool.delivered(released - self._contents.ids)
+        self._lists.look(self._contents, self._spool.outbox())
         done = self._clock()
         self._look_at = done + max(_LOOK, (done - now) / _LOOK_SHARE)
 
@@ -282,6 +289,9 @@ class OutboxFeeder:
         # The overhead is the link's: it takes no room in the outbox.
         room = self._room_in_outbox(settings) + overhead
         max_cost = min(self._bucket.burst, (settings.max_bytes or inf) + overhead)
+        pause = self._release_list(settings, room, max_cost)
+        if pause is not None:
+            return pause
         claim = self._spool.claim(
             _BATCH,
             min(self.available, room),
@@ -301,6 +311,29 @@ class OutboxFeeder:
             self._finish()
         self.stalled_by = ''
         self._record()
+        return 0.0
+
+    def _release_list(
+        self, settings: ReleaseSettings, room: float, max_cost: float
+    ) -> float | None:
+        """Put the next ship list into the outbox; None if none waits, else seconds to wait."""
+        overhead, removal = settings.budget.overhead, settings.removal
+        needed = self._lists.needed(max_cost - overhead)
+        if not needed:
+            return None
+        if needed + overhead > min(self.available, room):
+            return self._stall(Claim([], 0.0, Stall.NO_ROOM, needed + overhead), settings, room)
+        file = self._lists.claim(max_cost - overhead)
+        if file is None:
+            return None
+        self.signs += 1
+        if self._add(file.id, file.suffix, file.content, file.json_bytes(), 0, settings):
+            self._finish()
+            self._batch.put.discard(file.id)
+            if removal and self._is_replaced():
+                raise SpoolError(f'{self._outbox.folder} was replaced; is it mounted?')
+            self._lists.record(file.id, self._spool.outbox(), is_delivered=not removal)
+            self.stalled_by = ''
         return 0.0
 
     def _put(self, chip: StoredChip, data: bytes, fade: float) -> bool:

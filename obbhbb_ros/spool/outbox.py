@@ -168,9 +168,9 @@ class Outbox:
                 if not stat.S_ISREG(status.st_mode):
                     continue
                 contents.bytes += status.st_size
-                chip_id, suffix = os.path.splitext(entry.name)
+                chip_id, _, suffix = entry.name.partition('.')
                 contents.ids.add(chip_id)
-                if suffix == JSON_SUFFIX:
+                if f'.{suffix}' == JSON_SUFFIX:
                     contents.complete.add(chip_id)
         return contents
 
@@ -231,7 +231,7 @@ class Outbox:
     ) -> None:
         """Remove the files of chips, and those whose name has a pattern, but no folder."""
         for path in list(folder.iterdir()):
-            is_unwanted = path.stem in ids or others.fullmatch(path.name)
+            is_unwanted = path.name.partition('.')[0] in ids or others.fullmatch(path.name)
             if is_unwanted and (path.is_symlink() or not path.is_dir()):
                 path.unlink(missing_ok=True)
 

@@ -215,7 +215,7 @@ class SpoolReleaser(SpoolAccess):
         """Refuse to be a second releaser."""
         if not self._catalogue.lock('releaser'):
             raise SpoolError(
-                f'{self._folder}: another process releases this spool; each chain needs its own '
+                f'{self.folder}: another process releases this spool; each chain needs its own '
                 'spool.path and outbox.path'
             )
 

@@ -18,6 +18,12 @@ from obbhbb_ros.spool.chip_rows import INSERT
 from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
 
+BOOKS_SCRIPT = f"""\
+CREATE TABLE books (number INTEGER PRIMARY KEY, text TEXT NOT NULL);
+CREATE TABLE books_copy (number INTEGER PRIMARY KEY, text TEXT NOT NULL);
+INSERT INTO books VALUES (1, '{Books().text()}');
+INSERT INTO books_copy VALUES (1, '{Books().text()}');"""
+"""SQL script that creates the tables of empty books."""
 # `data` comes last, so that SQLite reads the rest without it. `objects` remembers of which ships
 # views were released, and in which turn.
 _SCRIPT = f"""
@@ -43,10 +49,7 @@ CREATE TABLE objects (
     object INTEGER PRIMARY KEY, released INTEGER NOT NULL, turn INTEGER NOT NULL
 );
 CREATE INDEX objects_in_turn ON objects (turn);
-CREATE TABLE books (number INTEGER PRIMARY KEY, text TEXT NOT NULL);
-CREATE TABLE books_copy (number INTEGER PRIMARY KEY, text TEXT NOT NULL);
-INSERT INTO books VALUES (1, '{Books().text()}');
-INSERT INTO books_copy VALUES (1, '{Books().text()}');
+{BOOKS_SCRIPT}
 """
 # Chips to move at once: their space in the old table is used again for the new one.
 _PIECE = 1000
@@ -114,11 +117,11 @@ def _move_chips(rows: sqlite3.Cursor, books: Books) -> int:
     return len(old)
 
 
-def _count_rebuilt(rows: sqlite3.Cursor) -> None:
+def count_rebuilt(rows: sqlite3.Cursor) -> None:
     """Count in the books that damage was made good."""
     books = Books.read(rows)
     books.count('restored', 1)
     books.write(rows)
 
 
-SCHEMA = CatalogueSchema(2, _SCRIPT, _from_version_1, _count_rebuilt)
+SCHEMA = CatalogueSchema(2, _SCRIPT, _from_version_1, count_rebuilt)

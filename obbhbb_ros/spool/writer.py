@@ -219,7 +219,7 @@ class SpoolWriter(SpoolAccess):
             views.forget(max_bytes)
             if max_bytes and not evict(rows, books, max_bytes):
                 self._on_trouble(
-                    f'{self._folder} is larger than spool.max_bytes, {max_bytes:.0f}, and no chip '
+                    f'{self.folder} is larger than spool.max_bytes, {max_bytes:.0f}, and no chip '
                     'is left to evict; chips are evicted as they come'
                 )
 
