@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import cache
 from hashlib import sha256
@@ -43,6 +44,27 @@ def make_outbox(folder: Path, count: int = 24, codec: str = 'jpeg', depth: int =
             if len(made) < count:
                 made.append(put(folder, facts, chip))
         frame += 1
+    return made
+
+
+def make_placed_outbox(folder: Path, count: int = 24) -> list[Path]:
+    """Fill an outbox with chips of ships with ids and places, 1 m a pixel; return the JSON."""
+    made = []
+    for number, (facts, chip) in enumerate(islice(_chips_of(0), count)):
+        length, width, theta = (facts['obb'][index] for index in (2, 3, 4))
+        position = {
+            'lat': round(36.13 - facts['obb'][1] / 110_956.0, 7),
+            'lon': round(-5.43 + facts['obb'][0] / 90_020.0, 7),
+            'course': round(math.degrees(theta) % 180.0, 1),
+            'course_ambiguous': True,
+            'length_m': round(length, 1),
+            'width_m': round(width, 1),
+            'sigma_m': [4.2, 3.1, 30.0],
+            'look_deg': 12.5,
+            'pose_age': 0.01,
+        }
+        ship = {'object': f'5f3a91c2-{number}', 'view': 1, 'rank': facts['value']}
+        made.append(put(folder, facts | ship | {'position': position}, chip))
     return made
 
 

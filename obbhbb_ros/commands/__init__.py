@@ -17,6 +17,7 @@ from obbhbb_ros.commands import bag_command
 from obbhbb_ros.commands import chip_commands
 from obbhbb_ros.commands import demo_command
 from obbhbb_ros.commands import label_commands
+from obbhbb_ros.commands import ships_command
 from obbhbb_ros.commands import spool_command
 from obbhbb_ros.commands import study_commands
 
@@ -47,6 +48,7 @@ COMMANDS = {
     'chips': Command(chip_commands.add_chips_options, chip_commands.run_chips),
     'bag': Command(bag_command.add_bag_options, bag_command.run_bag),
     'gallery': Command(chip_commands.add_gallery_options, chip_commands.run_gallery),
+    'ships': Command(ships_command.add_ships_options, ships_command.run_ships),
     'spool': Command(spool_command.add_spool_options, spool_command.run_spool),
 }
 

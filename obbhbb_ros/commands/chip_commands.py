@@ -159,7 +159,7 @@ def run_gallery(options: Namespace) -> None:
     # Resolved, because relative links do not work through symbolic links.
     outbox, beside = options.outbox.resolve(), options.output.resolve().parent
     received = read_received(outbox)
-    if not received.chips and not received.problems:
+    if not (received.chips or received.lists or received.problems):
         raise ValueError(f'{options.outbox}: no chips found')
     page = gallery_page(
         received, beside, outbox.name, limit=options.limit, command=options.invocation
@@ -172,4 +172,6 @@ def run_gallery(options: Namespace) -> None:
         print(f'ships: {received.ship_count}')
     if received.cameras:
         print(f'cameras: {len(received.cameras)}')
+    if received.lists:
+        print(f'ship lists: {len(received.lists)}')
     print(f'written: {options.output}')

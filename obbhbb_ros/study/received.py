@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an outbox, or a folder that received its files, holds: chips, their facts, what is wrong."""
+"""What an outbox, or a folder that received its files, holds: chips, ship lists, what is wrong."""
 
 from __future__ import annotations
 
@@ -19,6 +19,11 @@ from typing import Any
 
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.files import read_bounded
+from obbhbb_ros.reports.ship_list import LIST_KIND
+from obbhbb_ros.reports.ship_list import LIST_SUFFIXES
+from obbhbb_ros.reports.ship_list import read_ship_list
+from obbhbb_ros.reports.ship_report import MAX_LIST_BYTES
+from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.spool.compact_json import CAMERA_KIND
 from obbhbb_ros.spool.compact_json import camera_id
 from obbhbb_ros.spool.compact_json import with_camera
@@ -30,6 +35,7 @@ from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import nanoseconds_of
 
 _SUFFIXES = {f'.{codec.suffix}' for codec in CODECS.values()}
+_LIST_SUFFIXES = tuple(f'.{suffix}' for suffix in LIST_SUFFIXES.values())
 _MAX_JSON_BYTES, _MAX_CHIP_BYTES = 2**22, 2**28
 # Ten years, in nanoseconds: stamps of a simulation begin near 1970.
 _MAX_LATENCY = 10 * 365 * 24 * 3600 * 10**9
@@ -54,6 +60,8 @@ class ReceivedChip:
         Bytes of the chip file, None if it is missing.
     arrival : int
         When the JSON was written here, nanoseconds since 1970; a copy may have changed that.
+    is_sealed : bool
+        Whether the JSON has its digest; else its facts may be wrong.
     """
 
     path: Path
@@ -61,6 +69,7 @@ class ReceivedChip:
     damage: str
     size: int | None
     arrival: int
+    is_sealed: bool
 
     @property
     def stamp(self) -> Stamp:
@@ -84,6 +93,26 @@ class ReceivedChip:
         return latency if 0 <= latency < _MAX_LATENCY else None
 
 
+@dataclass(frozen=True)
+class ReceivedList:
+    """
+    A ship list.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    digest : str
+        Its SHA-256: a list that was received twice counts once.
+    ships : list of ShipReport
+        What it says.
+    """
+
+    path: Path
+    digest: str
+    ships: list[ShipReport]
+
+
 @dataclass
 class Received:
     """
@@ -95,12 +124,15 @@ class Received:
         The chips that have a usable JSON, the most valuable first, then the oldest.
     cameras : dict of str to dict
         Content of the files of cameras, by their ids.
+    lists : list of ReceivedList
+        The ship lists, by the names of their files.
     problems : list of str
         What is wrong, a line each; starts with the name of the file.
     """
 
     chips: list[ReceivedChip] = field(default_factory=list)
     cameras: dict[str, dict[str, Any]] = field(default_factory=dict)
+    lists: list[ReceivedList] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
     @property
@@ -126,7 +158,7 @@ class Received:
 
 def read_received(folder: Path) -> Received:
     """
-    Read the chips of an outbox, or of any folder that received one, and check their files.
+    Read the chips and lists of an outbox, or of any folder that received one; check their files.
 
     All folders in it are searched, those behind symbolic links as well; names that begin with a
     dot are left out, as files are not complete under such names. Raises NotADirectoryError if
@@ -141,6 +173,9 @@ def read_received(folder: Path) -> Received:
         if path.suffix == f'.{CAMERA_KIND}':
             with _noted(path, folder, received.problems):
                 received.cameras[path.stem] = _camera(path)
+        elif path.name.endswith(_LIST_SUFFIXES):
+            with _noted(path, folder, received.problems):
+                received.lists.append(_ship_list(path))
     named = set()
     missing: Counter[str] = Counter()
     for path in track([path for path in files if path.suffix == '.json'], 'reading'):
@@ -202,6 +237,12 @@ def _camera(path: Path) -> dict[str, Any]:
     return _object(content)
 
 
+def _ship_list(path: Path) -> ReceivedList:
+    """Read a ship list, which checks itself; ValueError if it cannot be used."""
+    content = read_bounded(path, MAX_LIST_BYTES)
+    return ReceivedList(path, sha256(content).hexdigest(), read_ship_list(content))
+
+
 def _object(content: bytes) -> dict[str, Any]:
     """Read a JSON object; ValueError if it is none."""
     facts = json.loads(content.decode())
@@ -216,12 +257,16 @@ def _checked(
     """
     Read a JSON and check its chip file; ValueError if the JSON cannot be used.
 
-    Returns None if it is that of a camera. If the camera of the chip is not there, the chip has
-    none, and `missing` counts it.
+    Returns None if it is that of a camera or a ship list. If the camera of the chip is not there,
+    the chip has none, and `missing` counts it.
     """
     content = read_bounded(path, _MAX_JSON_BYTES)
     facts = _OPTIONAL | _object(content)
     if facts['kind'] == CAMERA_KIND:
+        return None
+    if facts['kind'] == LIST_KIND:
+        if not any(path.with_suffix(suffix).is_file() for suffix in _LIST_SUFFIXES):
+            raise ValueError('its ship list is missing')
         return None
     if isinstance(facts.get('camera'), dict) and isinstance(name := facts['camera'].get('id'), str):
         if name not in cameras:
@@ -234,10 +279,10 @@ def _checked(
             raise ValueError(f"key '{key}' is not {meaning}")
     chip = path.with_suffix(f'.{CODECS[facts["codec"]].suffix}')
     damage, size = _damage(chip, facts)
-    if not is_sealed(content):
+    if not (sealed := is_sealed(content)):
         damage = damage or 'damaged: the digest of its JSON differs or is missing'
     arrival = path.stat().st_mtime_ns
-    return ReceivedChip(chip, {key: facts[key] for key in _KEYS}, damage, size, arrival)
+    return ReceivedChip(chip, {key: facts[key] for key in _KEYS}, damage, size, arrival, sealed)
 
 
 def _damage(chip: Path, facts: dict[str, Any]) -> tuple[str, int | None]:
@@ -304,6 +349,20 @@ def _ends_in_size(count: int) -> Callable[[Any], bool]:
     return lambda value: _is_list(count, _is_whole)(value) and min(value[-2:]) > 0
 
 
+def _is_within(low: float, high: float) -> Callable[[Any], bool]:
+    """Return a check for a number in a range."""
+    return lambda value: _is_number(value) and low <= value <= high
+
+
+def _is_object(checks: Mapping[str, Callable[[Any], bool]]) -> Callable[[Any], bool]:
+    """Return a check for an object with some keys."""
+    return lambda value: (
+        isinstance(value, dict)
+        and all(name in value and is_right(value[name]) for name, is_right in checks.items())
+    )
+
+
+_is_size = _is_within(0.0, sys.float_info.max)
 _CAMERA: dict[str, Callable[[Any], bool]] = {
     'size': _is_list(2, _is_whole),
     'k': _or_null(_is_list(9, _is_number)),
@@ -312,13 +371,15 @@ _CAMERA: dict[str, Callable[[Any], bool]] = {
     'roi': _is_list(4, _is_whole),
     'binning': _is_list(2, _is_whole),
 }
-
-
-def _is_camera(value: Any) -> bool:
-    """Return whether a value describes a camera."""
-    return isinstance(value, dict) and all(
-        name in value and is_right(value[name]) for name, is_right in _CAMERA.items()
-    )
+_POSITION: dict[str, Callable[[Any], bool]] = {
+    'lat': _is_within(-90.0, 90.0),
+    'lon': _is_within(-180.0, 180.0),
+    'course': _is_within(0.0, 360.0),
+    'course_ambiguous': lambda value: isinstance(value, bool),
+    'length_m': _is_size,
+    'width_m': _is_size,
+    'sigma_m': _or_null(_is_list(3, _is_size)),
+}
 
 
 _KEYS: dict[str, tuple[str, Callable[[Any], bool]]] = {
@@ -335,12 +396,16 @@ _KEYS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     'codec': (f'one of {", ".join(CODECS)}', lambda value: value in list(CODECS)),
     'bytes': ('a whole number', _is_whole),
     'sha256': ('a text', _is_text),
-    'camera': ('an object with size, k, model, d, roi and binning, or null', _or_null(_is_camera)),
+    'camera': (
+        'an object with size, k, model, d, roi and binning, or null',
+        _or_null(_is_object(_CAMERA)),
+    ),
     'object': ('a text or null', _or_null(_is_text)),
     # Files of kinds to come are none of a chip.
     'kind': ('known', lambda value: value is None),
     'view': ('a whole number or null', _or_null(_is_whole)),
     'rank': ('a number or null', _or_null(_is_number)),
+    'position': ('a place on Earth or null', _or_null(_is_object(_POSITION))),
 }
-# Not in the JSON of chips that show no known ship; chips have no kind.
-_OPTIONAL: dict[str, Any] = dict.fromkeys(('object', 'view', 'rank', 'kind'))
+# Not in the JSON of chips that show no known ship, or have no place; chips have no kind.
+_OPTIONAL: dict[str, Any] = dict.fromkeys(('object', 'view', 'rank', 'kind', 'position'))

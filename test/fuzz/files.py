@@ -6,12 +6,13 @@ Feed damaged files to what reads files on the ground: labels, galleries, bags.
 
 Whatever the bytes are, the documented errors alone are raised, soon and within bounded memory. A
 kind is a format of labels, `class_names` or `image_size` (beside labels), `gallery`, `camera`,
-`picture` or `bag`.
+`picture`, `ships` (the JSON of a chip with a place), `list` (of ships) or `bag`.
 """
 
 from __future__ import annotations
 
 import argparse
+import gzip
 import io
 import json
 import resource
@@ -33,6 +34,7 @@ from wire import run_mutations
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from outboxes import make_outbox
+from outboxes import make_placed_outbox
 from sound_labels import SOUND
 from spooled import CAMERA
 
@@ -46,10 +48,15 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
 from obbhbb_ros.labels.axis_aligned import convert_image
 from obbhbb_ros.labels.formats import FORMATS
+from obbhbb_ros.reports.ship_geojson import ship_geojson
+from obbhbb_ros.reports.ship_list import LIST_SUFFIXES
+from obbhbb_ros.reports.ship_message import ship_message
+from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.spool.compact_json import camera_id
 from obbhbb_ros.spool.compact_json import compact_bytes
 from obbhbb_ros.spool.compact_json import without_camera
 from obbhbb_ros.spool.outbox import json_bytes
+from obbhbb_ros.spool.seals import sealed
 from obbhbb_ros.study.gallery import gallery_page
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.received import read_received
@@ -194,6 +201,58 @@ def picture_kind(folder: Path) -> Kind:
     return [chip.read_bytes()], check
 
 
+def ships_kind(folder: Path) -> Kind:
+    """Make the JSON of a chip with a place, and write a table of what becomes of it."""
+    (record,) = make_placed_outbox(folder / 'box', 1)
+    seed = record.read_bytes()
+
+    def check(data: bytes) -> str:
+        # Damage that the digest would not show.
+        record.write_bytes(sealed(data))
+        return _table_of_ships(folder)
+
+    return [seed.partition(b', "digest"')[0] + b'}'], check
+
+
+def list_kind(folder: Path) -> Kind:
+    """Make ship lists, and write a table of what becomes of them."""
+    ships = [
+        ShipReport(
+            id=f'5f3a91c2-{number}',
+            latitude=36.1,
+            longitude=-5.4 + number,
+            course=12.0,
+            course_ambiguous=False,
+            length_m=30.0,
+            width_m=9.0,
+            sigma_m=(4.2, 3.1, 30.0),
+            class_id='tug',
+            score=0.5,
+            first=number * 10**9,
+            last=number * 10**9,
+        )
+        for number in range(3)
+    ]
+    path = folder / 'box' / f'list.{LIST_SUFFIXES["geojson"]}'
+    path.parent.mkdir()
+    plain = gzip.decompress(ship_geojson(ships))
+
+    def check(data: bytes) -> str:
+        # What is packed is damaged in itself, and as a file.
+        path.write_bytes(gzip.compress(data, 1) if data[:1] == b'{' else data)
+        return _table_of_ships(folder)
+
+    return [plain, ship_geojson(ships), ship_message(ships, 340).content], check
+
+
+def _table_of_ships(folder: Path) -> str:
+    """Write a table of the ships in a folder; say what came of it."""
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        code = convert(['ships', str(folder / 'box'), '-o', str(folder / 'ships.geojson')])
+    assert code in (0, 1)
+    return 'refused' if code else 'written'
+
+
 def bag_kind(folder: Path) -> Kind:
     """Read a bag, and convert what becomes of it."""
     source = folder / 'in.mcap'
@@ -216,6 +275,8 @@ OTHERS: dict[str, Callable[[Path], Kind]] = {
     'gallery': gallery_kind,
     'camera': camera_kind,
     'picture': picture_kind,
+    'ships': ships_kind,
+    'list': list_kind,
     'bag': bag_kind,
 }
 

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 import yaml
 from launch_files import launched
-from outboxes import make_outbox
+from outboxes import make_placed_outbox
 from outboxes import make_spool
 
 from obbhbb_ros import OrientedBoxes
@@ -209,7 +209,7 @@ def test_a_command_line_of_obbhbb_can_be_parsed(words: list[str]) -> None:
 
 
 # Input that is generated for the examples.
-MADE = {'received': make_outbox, 'spool': make_spool}
+MADE = {'received': make_placed_outbox, 'spool': make_spool}
 
 
 def runnable() -> list[list[str]]:

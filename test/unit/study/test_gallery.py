@@ -301,6 +301,15 @@ CAMERA = {
     'roi': [0, 0, 8, 8],
     'binning': [1, 1],
 }
+PLACE = {
+    'lat': 36.1,
+    'lon': -5.4,
+    'course': 12.0,
+    'course_ambiguous': True,
+    'length_m': 30.0,
+    'width_m': 9.0,
+    'sigma_m': None,
+}
 WRONG = [
     ('id', 5),
     ('stamp', 1.5),
@@ -338,6 +347,15 @@ WRONG = [
     ('camera', {'size': [8, 8]}),
     ('camera', CAMERA | {'k': [1.0]}),
     ('camera', CAMERA | {'roi': [0, 0, 8]}),
+    ('position', [36.1, -5.4]),
+    ('position', {'lat': 36.1, 'lon': -5.4}),
+    ('position', PLACE | {'lat': 90.1}),
+    ('position', PLACE | {'lat': '36.1'}),
+    ('position', PLACE | {'lon': -180.1}),
+    ('position', PLACE | {'course': float('nan')}),
+    ('position', PLACE | {'course_ambiguous': 1}),
+    ('position', PLACE | {'length_m': -1.0}),
+    ('position', PLACE | {'sigma_m': [1.0, 2.0]}),
 ]
 
 

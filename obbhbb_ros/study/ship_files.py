@@ -1,0 +1,300 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Files of ships for geographic information systems: a point for each ship, with typed fields.
+
+GeoJSON, CSV and KML need nothing else; GeoPackage needs the extra `geo`, GeoParquet `arrow`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Sequence
+from datetime import datetime
+from datetime import timedelta
+from datetime import timezone
+from pathlib import Path
+from typing import Any
+from typing import NamedTuple
+from xml.sax.saxutils import escape
+
+import numpy as np
+import shapely
+
+from obbhbb_ros.files import replacing
+from obbhbb_ros.files import write_pieces
+from obbhbb_ros.files import write_text
+from obbhbb_ros.reports.ship_report import ShipReport
+from obbhbb_ros.study.progress import printable
+from obbhbb_ros.study.ship_rows import ShipRow
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_MILLISECOND = timedelta(milliseconds=1)
+_SEPARATOR = '; '
+# WGS84, as files beside a CSV table name it.
+_WKT = (
+    'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563,'
+    'AUTHORITY["EPSG","7030"]],AUTHORITY["EPSG","6326"]],PRIMEM["Greenwich",0],'
+    'UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
+)
+
+
+class ShipColumn(NamedTuple):
+    """
+    A field of the table.
+
+    Attributes
+    ----------
+    kind : str
+        `text`, `number`, `count`, `truth` or `time`.
+    of : callable
+        Returns the value of a row; None if it is not known.
+    """
+
+    kind: str
+    of: Callable[[ShipRow], Any]
+
+
+def _of_facts(name: str) -> Callable[[ShipRow], Any]:
+    return lambda row: getattr(row.facts, name)
+
+
+def _text(name: str) -> ShipColumn:
+    return ShipColumn('text', lambda row: printable(getattr(row.facts, name)) or None)
+
+
+def _number(name: str) -> ShipColumn:
+    return ShipColumn('number', _of_facts(name))
+
+
+def _sigma(index: int) -> ShipColumn:
+    return ShipColumn('number', lambda row: row.facts.sigma_m and row.facts.sigma_m[index])
+
+
+def _time(name: str) -> ShipColumn:
+    return ShipColumn('time', lambda row: utc_time(getattr(row.facts, name)))
+
+
+def utc_time(nanoseconds: int) -> datetime:
+    """Return a time, nanoseconds since 1970, down to the millisecond."""
+    return _EPOCH + nanoseconds // 1_000_000 * _MILLISECOND
+
+
+def _joined(texts: Iterable[object]) -> str | None:
+    """Join texts; None if there are none."""
+    return _SEPARATOR.join(printable(str(text)) for text in texts) or None
+
+
+SHIP_COLUMNS = {
+    'id': _text('id'),
+    'class': _text('class_id'),
+    'score': _number('score'),
+    'latitude': _number('latitude'),
+    'longitude': _number('longitude'),
+    'sigma_major_m': _sigma(0),
+    'sigma_minor_m': _sigma(1),
+    'sigma_azimuth': _sigma(2),
+    'length_m': _number('length_m'),
+    'width_m': _number('width_m'),
+    'course': _number('course'),
+    'course_ambiguous': ShipColumn('truth', _of_facts('course_ambiguous')),
+    'speed': _number('speed'),
+    'speed_sigma': _number('speed_sigma'),
+    'course_over_ground': _number('course_over_ground'),
+    'course_over_ground_sigma': _number('course_over_ground_sigma'),
+    'first': _time('first'),
+    'last': _time('last'),
+    'views': ShipColumn('count', _of_facts('views')),
+    'best_view': ShipColumn(
+        'text', lambda row: _joined([row.best_view.path] if row.best_view else [])
+    ),
+    'files': ShipColumn('text', lambda row: _joined(row.files)),
+    'other_ids': ShipColumn('text', lambda row: _joined(row.other_ids)),
+}
+"""The fields, in the order of the table."""
+
+
+def write_ships(path: Path, rows: Sequence[ShipRow]) -> None:
+    """
+    Write a file of ships, in the format of its suffix, one of `SHIP_FILES`.
+
+    Raises
+    ------
+    ValueError
+        If the suffix is unknown.
+    ModuleNotFoundError
+        If what the format needs is not installed.
+    OSError
+        If the file cannot be written.
+    """
+    ship_writer(path)(path, rows)
+
+
+def ship_writer(path: Path) -> Callable[[Path, Sequence[ShipRow]], None]:
+    """Return what writes files of a suffix; ValueError if nothing does."""
+    writer = SHIP_FILES.get(path.suffix.lower())
+    if writer is None:
+        raise ValueError(f'{path}: the suffix must be one of {", ".join(SHIP_FILES)}')
+    return writer
+
+
+def _write_geojson(path: Path, rows: Sequence[ShipRow]) -> None:
+    dump = json.JSONEncoder(ensure_ascii=False, allow_nan=False, default=_time_text).encode
+    features = (
+        f'{"," if number else ""}\n' + dump(_feature(row)) for number, row in enumerate(rows)
+    )
+    write_pieces(path, ['{"type": "FeatureCollection", "features": [', *features, '\n]}\n'])
+
+
+def _feature(row: ShipRow) -> dict[str, Any]:
+    place = [row.facts.longitude, row.facts.latitude]
+    return {
+        'type': 'Feature',
+        'geometry': {'type': 'Point', 'coordinates': place},
+        'properties': {name: column.of(row) for name, column in SHIP_COLUMNS.items()},
+    }
+
+
+def _time_text(time: datetime) -> str:
+    """Write a time as RFC 3339 has it."""
+    return time.replace(tzinfo=None).isoformat(timespec='milliseconds') + 'Z'
+
+
+# Names of the kinds for GDAL, in a file beside a table.
+_CSVT = {
+    'text': 'String',
+    'number': 'Real',
+    'count': 'Integer',
+    'truth': 'Integer(Boolean)',
+    'time': 'DateTime',
+}
+
+
+def _write_csv(path: Path, rows: Sequence[ShipRow]) -> None:
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator='\n')
+    table.writerow(SHIP_COLUMNS)
+    table.writerows([_cell(column, row) for column in SHIP_COLUMNS.values()] for row in rows)
+    write_text(path, text.getvalue())
+    if path.is_file():
+        places = {'latitude': 'CoordY', 'longitude': 'CoordX'}
+        kinds = (places.get(name, _CSVT[column.kind]) for name, column in SHIP_COLUMNS.items())
+        write_text(path.with_suffix('.csvt'), ','.join(f'"{kind}"' for kind in kinds) + '\n')
+        write_text(path.with_suffix('.prj'), _WKT + '\n')
+
+
+def _cell(column: ShipColumn, row: ShipRow) -> object:
+    value = column.of(row)
+    if column.kind == 'truth':
+        return int(value)
+    return _time_text(value) if column.kind == 'time' else value
+
+
+def _write_kml(path: Path, rows: Sequence[ShipRow]) -> None:
+    start = (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        '<kml xmlns="http://www.opengis.net/kml/2.2"><Document><name>Ships</name>\n'
+    )
+    write_pieces(path, [start, *map(_placemark, rows), '</Document></kml>\n'])
+
+
+def _placemark(row: ShipRow) -> str:
+    facts, begin, end = row.facts, *(utc_time(time) for time in (row.facts.first, row.facts.last))
+    name = escape(printable(facts.id or facts.class_id or 'ship'))
+    # Viewers take the description for HTML.
+    description = escape(escape(described(facts)))
+    return (
+        f'<Placemark><name>{name}</name><description>{description}</description>'
+        f'<TimeSpan><begin>{_time_text(begin)}</begin><end>{_time_text(end)}</end></TimeSpan>'
+        f'<Point><coordinates>{facts.longitude!r},{facts.latitude!r}</coordinates></Point>'
+        '</Placemark>\n'
+    )
+
+
+def described(facts: ShipReport) -> str:
+    """Describe a ship in a line: class, size, course, uncertainty."""
+    size = f'{facts.length_m:.0f} x {facts.width_m:.0f} m'
+    either = f' or {facts.course + 180.0:.0f}' if facts.course_ambiguous else ''
+    parts = [printable(facts.class_id), size, f'course {facts.course:.0f}{either}°']
+    if facts.speed is not None:
+        parts.append(f'{facts.speed:.1f} m/s')
+    if facts.sigma_m is not None:
+        parts.append(f'within {facts.sigma_m[0]:.1f} m')
+    return ', '.join(filter(None, parts))
+
+
+def _write_geopackage(path: Path, rows: Sequence[ShipRow]) -> None:
+    import geopandas
+
+    kinds = {'text': 'O', 'number': 'f8', 'count': 'i8', 'truth': '?', 'time': 'M8[ms]'}
+    columns = {
+        name: np.array([_naive(column.of(row)) for row in rows], kinds[column.kind])
+        for name, column in SHIP_COLUMNS.items()
+    }
+    points = shapely.points(*_places(rows))
+    frame = geopandas.GeoDataFrame(columns, geometry=points, crs='EPSG:4326')
+    for name, column in SHIP_COLUMNS.items():
+        if column.kind == 'time':
+            frame[name] = frame[name].dt.tz_localize('UTC')
+    with replacing(path) as whole:
+        try:
+            frame.to_file(
+                whole, driver='GPKG', layer='ships', engine='pyogrio', geometry_type='Point'
+            )
+            # A full disk may only show as missing features.
+            written = len(geopandas.read_file(whole, engine='pyogrio'))
+        except ImportError:
+            raise
+        except Exception as error:
+            # Any exception: those of GDAL are of many kinds.
+            raise OSError(f'{path}: cannot be written: {error}') from error
+        if written != len(rows):
+            raise OSError(f'{path}: only {written} of {len(rows)} ships were written')
+
+
+def _naive(value: Any) -> Any:
+    """Take away the time zone of a time: NumPy has none."""
+    return value.replace(tzinfo=None) if isinstance(value, datetime) else value
+
+
+def _places(rows: Sequence[ShipRow]) -> tuple[list[float], list[float]]:
+    """List longitudes and latitudes."""
+    return [row.facts.longitude for row in rows], [row.facts.latitude for row in rows]
+
+
+def _write_parquet(path: Path, rows: Sequence[ShipRow]) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    kinds = {
+        'text': pa.string(),
+        'number': pa.float64(),
+        'count': pa.int64(),
+        'truth': pa.bool_(),
+        'time': pa.timestamp('ms', tz='UTC'),
+    }
+    columns = {
+        name: pa.array([column.of(row) for row in rows], kinds[column.kind])
+        for name, column in SHIP_COLUMNS.items()
+    }
+    points = shapely.to_wkb(shapely.points(*_places(rows)))
+    table = pa.table({**columns, 'geometry': pa.array(points.tolist(), pa.binary())})
+    column = {'encoding': 'WKB', 'geometry_types': ['Point']}
+    geo = {'version': '1.0.0', 'primary_column': 'geometry', 'columns': {'geometry': column}}
+    with replacing(path) as whole:
+        parquet.write_table(table.replace_schema_metadata({'geo': json.dumps(geo)}), whole)
+
+
+SHIP_FILES = {
+    '.geojson': _write_geojson,
+    '.json': _write_geojson,
+    '.gpkg': _write_geopackage,
+    '.csv': _write_csv,
+    '.parquet': _write_parquet,
+    '.geoparquet': _write_parquet,
+    '.kml': _write_kml,
+}
+"""What writes the files of a suffix."""

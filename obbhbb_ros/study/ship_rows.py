@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ships of ship lists and chips that came down: one row for each tracked object."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from obbhbb_ros.earth.ellipsoid import to_ecef
+from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.reports.ship_report import ShipReport
+from obbhbb_ros.study.received import Received
+from obbhbb_ros.study.received import ReceivedChip
+from obbhbb_ros.study.received import ReceivedList
+
+# Mean radius of the Earth, metres: from the chord to the distance along the ground.
+_RADIUS = 6_371_008.8
+
+
+@dataclass(frozen=True)
+class ShipRow:
+    """
+    What is known of a ship.
+
+    Attributes
+    ----------
+    facts : ShipReport
+        Its facts. Place, size and course are those with the smallest uncertainty, else the last;
+        class and score those of the highest score; speed the last.
+    best_view : ReceivedChip or None
+        Its best chip of which the file is there.
+    files : tuple of Path
+        All files that show or name it.
+    other_ids : tuple of str
+        The ids of what was joined to it.
+    spans : tuple of tuple of int
+        First and last time of each of its objects, nanoseconds since 1970.
+    """
+
+    facts: ShipReport
+    best_view: ReceivedChip | None
+    files: tuple[Path, ...]
+    other_ids: tuple[str, ...] = ()
+    spans: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass
+class _Object:
+    """What names a ship: reports of lists, chips, and their files."""
+
+    reports: list[ShipReport] = field(default_factory=list)
+    chips: list[ReceivedChip] = field(default_factory=list)
+    files: dict[Path, None] = field(default_factory=dict)
+
+
+def ship_rows(folders: Iterable[Received], left_out: Counter[str]) -> list[ShipRow]:
+    """
+    Make a row of all that lists and chips say of each tracked object.
+
+    Parameters
+    ----------
+    folders : iterable of Received
+        What came down. Chips and lists that are in several of them count once.
+    left_out : Counter
+        Counts what has no row, by the reason: ships without a place, chips whose JSON is damaged.
+
+    Returns
+    -------
+    list of ShipRow
+        By the first time, then the id.
+    """
+    objects: dict[str | int, _Object] = {}
+    read = list(folders)
+    for ship_list in _lists(read):
+        for report in ship_list.ships:
+            ship = objects.setdefault(report.id or len(objects), _Object())
+            ship.reports.append(report)
+            ship.files[ship_list.path] = None
+    for chip in _chips(read, left_out):
+        ship = objects.setdefault(chip.facts['object'] or len(objects), _Object())
+        ship.chips.append(chip)
+        ship.files[chip.path] = None
+    rows = [row for ship in objects.values() if (row := _row(ship))]
+    left_out['ships without a place'] += len(objects) - len(rows)
+    return sorted(rows, key=_time_order)
+
+
+def _lists(read: Iterable[Received]) -> list[ReceivedList]:
+    """List the ship lists once."""
+    return list({each.digest: each for received in read for each in received.lists}.values())
+
+
+def _chips(read: Iterable[Received], left_out: Counter[str]) -> Iterator[ReceivedChip]:
+    """Yield the chips once, with their file if any folder has it."""
+    chips: dict[str, ReceivedChip] = {}
+    for received in read:
+        for chip in received.chips:
+            if not chip.is_sealed:
+                left_out['chips whose JSON is damaged'] += 1
+            elif (known := chips.get(chip.facts['id'])) is None or known.damage:
+                chips[chip.facts['id']] = chip
+    yield from chips.values()
+
+
+def _row(ship: _Object) -> ShipRow | None:
+    """Make the row of an object; None if nothing tells where it was."""
+    reports = [*ship.reports, *filter(None, map(chip_report, ship.chips))]
+    if not reports:
+        return None
+    times = [chip.time for chip in ship.chips]
+    facts = replace(
+        _combined(reports),
+        first=min([*times, *(report.first for report in reports)]),
+        last=max([*times, *(report.last for report in reports)]),
+        # The images of chips are among those of the lists, if there is a list.
+        views=max(sum(report.views for report in ship.reports), len(set(times))),
+    )
+    return ShipRow(
+        facts, _best_view(ship.chips), tuple(ship.files), spans=((facts.first, facts.last),)
+    )
+
+
+def chip_report(chip: ReceivedChip) -> ShipReport | None:
+    """Turn the JSON of a chip into a report; None if it has no position."""
+    facts, place = chip.facts, chip.facts['position']
+    if place is None:
+        return None
+    return ShipReport(
+        id=facts['object'] or '',
+        latitude=place['lat'],
+        longitude=place['lon'],
+        course=place['course'],
+        course_ambiguous=place['course_ambiguous'],
+        length_m=place['length_m'],
+        width_m=place['width_m'],
+        sigma_m=None if place['sigma_m'] is None else tuple(place['sigma_m']),
+        class_id=facts['class_id'],
+        score=facts['score'],
+        first=chip.time,
+        last=chip.time,
+    )
+
+
+def _combined(reports: Sequence[ShipReport]) -> ShipReport:
+    """Take the best of each fact."""
+    placed = min(reports, key=_spread_order)
+    seen = max(reports, key=lambda report: -math.inf if report.score is None else report.score)
+    moving = max(reports, key=lambda report: (report.speed is not None, report.last))
+    return replace(
+        placed,
+        class_id=seen.class_id,
+        score=seen.score,
+        speed=moving.speed,
+        speed_sigma=moving.speed_sigma,
+        course_over_ground=moving.course_over_ground,
+        course_over_ground_sigma=moving.course_over_ground_sigma,
+    )
+
+
+def _spread_order(report: ShipReport) -> tuple[float, int]:
+    """Return a key that sorts reports by how well a ship is placed."""
+    return (math.inf if report.sigma_m is None else report.sigma_m[0]), -report.last
+
+
+def _best_view(chips: Iterable[ReceivedChip | None]) -> ReceivedChip | None:
+    """Choose the most valuable chip of which the file is there."""
+    there = [chip for chip in chips if chip is not None and chip.size is not None]
+    return max(there, key=lambda chip: chip.worth, default=None)
+
+
+# Joining and choosing by place ----------------------------------------------------------------
+
+
+def merged_within(rows: Sequence[ShipRow], distance: float) -> list[ShipRow]:
+    """
+    Join the rows of one place.
+
+    The best placed row comes first; a row joins the nearest one before it within the distance,
+    unless both were seen at the same time: then they are two ships.
+
+    Parameters
+    ----------
+    rows : sequence of ShipRow
+        The rows.
+    distance : float
+        Metres.
+
+    Returns
+    -------
+    list of ShipRow
+        In the order of `ship_rows`.
+    """
+    points = _points(rows)
+    cells: dict[tuple[int, int, int], list[int]] = {}
+    groups: dict[int, list[ShipRow]] = {}
+    for number in sorted(range(len(rows)), key=lambda number: _spread_order(rows[number].facts)):
+        row, point = rows[number], points[number]
+        x, y, z = np.floor(point / distance).astype(int).tolist()
+        near = [
+            other
+            for i, j, k in product((-1, 0, 1), repeat=3)
+            for other in cells.get((x + i, y + j, z + k), ())
+            if math.dist(points[other], point) <= distance and _are_apart(groups[other], row)
+        ]
+        if near:
+            groups[min(near, key=lambda other: math.dist(points[other], point))].append(row)
+        else:
+            groups[number] = [row]
+            cells.setdefault((x, y, z), []).append(number)
+    return sorted(map(_joined, groups.values()), key=_time_order)
+
+
+def _are_apart(group: Sequence[ShipRow], row: ShipRow) -> bool:
+    """Tell whether a row was seen at no time at which one of a group was."""
+    ((first, last),) = row.spans
+    return all(last < begin or end < first for other in group for begin, end in other.spans)
+
+
+def _joined(group: Sequence[ShipRow]) -> ShipRow:
+    """Join rows; the first one is the best placed."""
+    facts = [row.facts for row in group]
+    spans = tuple(span for row in group for span in row.spans)
+    return ShipRow(
+        replace(
+            _combined(facts),
+            first=min(first for first, _ in spans),
+            last=max(last for _, last in spans),
+            views=sum(report.views for report in facts),
+        ),
+        _best_view(row.best_view for row in group),
+        tuple(dict.fromkeys(path for row in group for path in row.files)),
+        tuple(report.id for report in facts[1:] if report.id),
+        spans,
+    )
+
+
+def near_to(rows: Sequence[ShipRow], place: tuple[float, float], distance: float) -> list[ShipRow]:
+    """
+    Choose the ships around a place.
+
+    Parameters
+    ----------
+    rows : sequence of ShipRow
+        The rows.
+    place : tuple of float
+        Latitude and longitude, degrees.
+    distance : float
+        Along the ground, metres; right to 0.3 % of what the Earth bends in between.
+    """
+    chord = 2.0 * _RADIUS * math.sin(min(distance / (2.0 * _RADIUS), math.pi / 2))
+    away = np.linalg.norm(_points(rows) - to_ecef(*place, 0.0), axis=1)
+    return [row for row, is_near in zip(rows, (away <= chord).tolist(), strict=True) if is_near]
+
+
+def _points(rows: Sequence[ShipRow]) -> FloatArray:
+    """Give the places of rows in ECEF, metres, shape (N, 3)."""
+    latitudes = np.array([row.facts.latitude for row in rows])
+    return to_ecef(latitudes, np.array([row.facts.longitude for row in rows]), 0.0)
+
+
+def _time_order(row: ShipRow) -> tuple[int, str]:
+    """Return a key that sorts rows by their first time, then the id."""
+    return row.facts.first, row.facts.id
