@@ -101,6 +101,7 @@ class Flips:
         if status.counts.get('restored'):
             return 'books restored'
         damaged = status.counts.get('evicted.damaged', 0)
+        assert troubles or not damaged, 'not a word of a damaged chip'
         return f'{damaged} damaged chips, {"reported" if troubles else "not a word"}'
 
     def _released(self) -> list[bytes]:

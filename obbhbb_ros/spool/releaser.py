@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from enum import Enum
 from itertools import islice
+from typing import Any
 from typing import NamedTuple
 
 from obbhbb_ros.spool.access import SpoolAccess
@@ -155,13 +156,13 @@ class SpoolReleaser(SpoolAccess):
                 books.take(ChipState.CLAIMED, sizes)
                 books.count('released', books.put(ChipState.RELEASED, sizes))
                 if is_delivered:
-                    _deliver(rows, books, ids)
+                    self._deliver(rows, books, ids)
 
     def delivered(self, ids: Collection[str]) -> None:
         """Write down that the bus has taken chips from the outbox."""
         if ids:
             with self._booking() as (rows, books):
-                _deliver(rows, books, ids)
+                self._deliver(rows, books, ids)
 
     def evict_damaged(self, chip: StoredChip) -> None:
         """Delete a claimed chip whose file or description is damaged; count it as evicted."""
@@ -194,6 +195,22 @@ class SpoolReleaser(SpoolAccess):
         with self._booking() as (_, books):
             books.outbox = token
 
+    def _deliver(self, rows: sqlite3.Cursor, books: Books, ids: Collection[str]) -> None:
+        """Count released chips as delivered and delete them; report those that are damaged."""
+        for chip_id in ids:
+            for chip in _take_released(rows, chip_id):
+                books.take(ChipState.RELEASED, [chip.bytes])
+                # Nobody knows what became of a chip with another id.
+                if chip.is_intact():
+                    books.count('delivered', 1)
+                    books.count('delivered_bytes', chip.bytes)
+                else:
+                    books.count('evicted.damaged', 1)
+                    self._on_trouble(
+                        f'what the spool holds of {chip_id} is damaged: it left the outbox, but '
+                        'does not count as delivered'
+                    )
+
     def _on_open(self, rows: sqlite3.Cursor) -> None:
         """Refuse to be a second releaser."""
         if not self._catalogue.lock('releaser'):
@@ -203,29 +220,21 @@ class SpoolReleaser(SpoolAccess):
             )
 
 
-def _deliver(rows: sqlite3.Cursor, books: Books, ids: Collection[str]) -> None:
-    """Count released chips as delivered and delete them."""
-    for chip_id in ids:
-        rows.execute(
-            f'DELETE FROM chips WHERE seq = ? AND id = ? AND state = ? RETURNING {COLUMNS}',
-            (number_of(chip_id), chip_id, ChipState.RELEASED),
-        )
-        delivered = rows.fetchall()
-        if not delivered:
-            # Its id is damaged.
+def _take_released(rows: sqlite3.Cursor, chip_id: str) -> list[StoredChip]:
+    """Delete the released chip of an id from the catalogue, and return it."""
+    taken: list[tuple[Any, ...]] = []
+    # The condition without the number finds it if its id is damaged.
+    for condition, values in (
+        ('seq = ? AND id = ?', (number_of(chip_id), chip_id)),
+        ('id IS ?', (chip_id,)),
+    ):
+        if not taken:
             rows.execute(
-                f'DELETE FROM chips WHERE id IS ? AND state = ? RETURNING {COLUMNS}',
-                (chip_id, ChipState.RELEASED),
+                f'DELETE FROM chips WHERE {condition} AND state = ? RETURNING {COLUMNS}',
+                (*values, ChipState.RELEASED),
             )
-            delivered = rows.fetchall()
-        for chip in map(StoredChip._make, delivered):
-            books.take(ChipState.RELEASED, [chip.bytes])
-            # Nobody knows what became of a chip with another id.
-            if chip.is_intact():
-                books.count('delivered', 1)
-                books.count('delivered_bytes', chip.bytes)
-            else:
-                books.count('evicted.damaged', 1)
+            taken = rows.fetchall()
+    return list(map(StoredChip._make, taken))
 
 
 def _chips_up_to(

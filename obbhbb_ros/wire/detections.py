@@ -130,7 +130,7 @@ class Detections:
             N class ids, empty where there is no hypothesis. Bytes that are not UTF-8 are escaped.
         """
         places, _ = self._best_hypotheses
-        return [self._buffer.text(place) if place else '' for place in places.tolist()]
+        return self._buffer.repeated_texts(places.tolist())
 
     def ids(self) -> list[str]:
         """Read the id of each detection; bytes that are not UTF-8 are escaped."""

@@ -25,6 +25,11 @@ CHAIN_TOPICS = (
     'crop_regions',
     'crop_sources',
     'tracked_detections',
+    'camera_pose',
+    'fix',
+    'attitude',
+    'positions',
+    'image_pose',
 )
 TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions', 'crop_sources')
 LARGE = 'config/fastdds_nodes.xml'

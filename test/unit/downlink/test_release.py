@@ -568,6 +568,21 @@ def test_a_damaged_chip_is_evicted_and_holds_up_nothing(ground) -> None:
     assert all('damaged' in text for text in ground.troubles)
 
 
+def test_a_chip_that_is_damaged_after_its_release_is_reported(tmp_path) -> None:
+    ground = Ground(tmp_path, REMOVAL)
+    store(ground.writer, [0.5])
+    ground.steps(2, 2.0)
+    with database(tmp_path / 'spool') as rows:
+        rows.execute("UPDATE chips SET facts = '{'")
+    ground.remove([0.5])
+    ground.steps(2, 2.0)
+    counts = ground.status().counts
+    ground.close()
+    assert (counts['evicted.damaged'], counts.get('delivered', 0)) == (1, 0)
+    assert len(ground.troubles) == 1
+    assert 'does not count as delivered' in ground.troubles[0]
+
+
 def test_an_outbox_that_cannot_be_written_is_tried_again(ground, monkeypatch) -> None:
     store(ground.writer, [0.9, 0.8, 0.7])
     real = Outbox.add

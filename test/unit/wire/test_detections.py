@@ -371,3 +371,22 @@ def test_a_class_id_that_is_no_utf_8_is_escaped() -> None:
     data = encode(message).replace(b'zzzz', b'\xff\xfe\xfdz')
     detections = Detections(data)
     assert detections.class_ids() == ['\\xff\\xfe\\xfdz']
+
+
+@pytest.mark.parametrize(
+    'class_id',
+    [
+        b'ship',
+        'vaisseau à vapeur ✓'.encode(),
+        bytes(range(1, 256)),
+        b'\\udc80 \xff',
+        b'\xed\xb2\x80',
+    ],
+)
+def test_class_ids_are_escaped_as_python_does(class_id) -> None:
+    text = 'z' * len(class_id)
+    detection = Detection(results=(Hypothesis(class_id=text),))
+    data = encode(Message(detections=(detection, Detection(results=()), detection)))
+    detections = Detections(data.replace(text.encode(), class_id))
+    expected = class_id.decode(errors='backslashreplace')
+    assert detections.class_ids() == [expected, '', expected]
