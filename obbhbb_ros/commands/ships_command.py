@@ -24,6 +24,8 @@ from obbhbb_ros.study.ship_rows import merged_within
 from obbhbb_ros.study.ship_rows import near_to
 from obbhbb_ros.study.ship_rows import ship_rows
 
+_MIN_METRES = 0.001
+
 
 def add_ships_options(parser: ArgumentParser) -> None:
     """Add the options of `obbhbb ships`."""
@@ -44,7 +46,7 @@ def add_ships_options(parser: ArgumentParser) -> None:
     )
     add(
         '--merge-within',
-        type=_positive,
+        type=_metres,
         metavar='M',
         help='join what was seen within M metres at different times',
     )
@@ -56,14 +58,14 @@ def add_ships_options(parser: ArgumentParser) -> None:
         help='only ships within M metres of a place, degrees',
     )
     add('--since', type=_time, metavar='TIME', help='only ships seen then or later, ISO 8601, UTC')
-    add('--min-length', type=_positive, metavar='M', help='only ships of M metres or more')
+    add('--min-length', type=_metres, metavar='M', help='only ships of M metres or more')
 
 
-def _positive(text: str) -> float:
+def _metres(text: str) -> float:
     """Parse metres."""
     metres = float(text)
-    if not (math.isfinite(metres) and metres > 0.0):
-        raise ArgumentTypeError(f'{text} is not a number above 0')
+    if not _MIN_METRES <= metres < math.inf:
+        raise ArgumentTypeError(f'{text} is not a number of metres, at least {_MIN_METRES}')
     return metres
 
 

@@ -218,8 +218,8 @@ def _size(value: Any) -> float:
 
 
 def _count(value: Any) -> int:
-    """Check a number of views."""
-    if type(value) is not int or not 1 <= value < 2**63:
+    """Check a number of views; whoever adds up those of many lists stays below 2**63."""
+    if type(value) is not int or not 1 <= value <= 2**40:
         raise ValueError('not a number of views')
     return value
 
@@ -251,4 +251,5 @@ def _time(value: Any) -> int:
     time = datetime.fromisoformat(_text(value).replace('Z', '+00:00'))
     if time.tzinfo is None:
         raise ValueError('without a time zone')
-    return (time - _EPOCH) // _MICROSECOND * 1000
+    # OverflowError where UTC is in no year from 1 to 9999.
+    return (time.astimezone(timezone.utc) - _EPOCH) // _MICROSECOND * 1000

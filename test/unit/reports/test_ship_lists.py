@@ -264,6 +264,25 @@ def test_hostile_features_are_one_clear_error(key, value):
 
 
 @pytest.mark.parametrize(
+    ('key', 'value', 'reason'),
+    [
+        # In no year of UTC.
+        ('first', '0001-01-01T00:00:00+14:00', 'first: date value out of range'),
+        ('last', '9999-12-31T23:59:59-14:00', 'last: date value out of range'),
+        ('last', '2025-11-27T23:16:42', 'last: without a time zone'),
+        # The views of several lists would not fit into a field of 64 bits.
+        ('views', 2**40 + 1, 'views: not a number of views'),
+        ('views', True, 'views: not a number of views'),
+    ],
+)
+def test_values_that_no_table_can_hold_are_refused(key, value, reason):
+    feature = {**FEATURE, 'properties': {**FEATURE['properties'], key: value}}
+    document = {'type': 'FeatureCollection', 'features': [feature]}
+    with pytest.raises(ShipListError, match=reason):
+        read_ship_list(gzip.compress(json.dumps(document).encode()))
+
+
+@pytest.mark.parametrize(
     ('content', 'reason'),
     [
         (b'', 'not a ship list'),

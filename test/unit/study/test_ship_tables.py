@@ -265,7 +265,7 @@ def test_chips_without_objects_are_joined_by_place(tmp_path) -> None:
 @pytest.mark.parametrize(
     'option',
     [
-        *(('--merge-within', text) for text in ('0', '-1', 'nan', 'inf', 'x')),
+        *(('--merge-within', text) for text in ('0', '-1', 'nan', 'inf', '1e-300', 'x')),
         *(('--min-length', text) for text in ('0', 'nan')),
         ('--since', 'yesterday'),
         ('--near', '36', '5', 'x'),
