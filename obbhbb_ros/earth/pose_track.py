@@ -16,8 +16,10 @@ from obbhbb_ros.wire.stamp import nanoseconds_of
 
 __all__ = ['SampleAt', 'SampleTrack']
 
-# Ten seconds of an IMU.
+# Ten seconds of an IMU at 200 Hz.
 _MAX_COUNT = 2000
+# Samples arrive in another order within a second; what is earlier is of a clock that was set back.
+_MAX_DISORDER = 1_000_000_000
 
 
 class _Interpolated(Protocol):
@@ -49,7 +51,11 @@ class SampleAt(NamedTuple, Generic[Sample]):
 
 class SampleTrack(Generic[Sample]):
     """
-    The latest 2000 samples by stamp, in any order: poses, fixes or attitudes.
+    The latest 2000 samples by stamp: poses, fixes or attitudes.
+
+    A sample more than a second earlier than the last one begins a new track: after a restart of a
+    simulation, or the end of a bag that is played in a loop, samples of two runs would be mixed,
+    and one whose stamp is far in the future would end all waiting for poses.
 
     Examples
     --------
@@ -75,12 +81,14 @@ class SampleTrack(Generic[Sample]):
         """Forget all samples."""
         self._samples: dict[int, Sample] = {}
         self._stamps: list[int] = []
-        # In the order in which they came: by stamp, a clock that was set back would keep none.
+        # In the order in which they came.
         self._order: deque[int] = deque()
 
     def add(self, stamp: Stamp, sample: Sample) -> None:
-        """Add a sample; it replaces one with the same stamp."""
+        """Add a sample; it replaces one with the same stamp, or begins a new track."""
         time = nanoseconds_of(stamp)
+        if self._stamps and time < self._stamps[-1] - _MAX_DISORDER:
+            self.clear()
         if time not in self._samples:
             insort(self._stamps, time)
             self._order.append(time)

@@ -5,6 +5,8 @@ import struct
 
 Stamp = tuple[int, int]
 """Seconds and nanoseconds, as `builtin_interfaces/Time` has them."""
+# Seconds are an int32.
+_LATEST = (1 << 31) * 1_000_000_000 - 1
 # Behind an encapsulation header of four bytes.
 _STAMP_ENDS = 12
 
@@ -52,12 +54,14 @@ def stamp_at_start(data: bytes) -> Stamp:
 
 def later(stamp: Stamp, seconds: float) -> Stamp:
     """
-    Return the stamp some seconds later, which may be negative; none is before zero.
+    Return the stamp some seconds later, which may be negative.
+
+    None is before zero, or beyond the last one that a message can hold.
 
     Examples
     --------
     >>> later((5, 900_000_000), 0.25)
     (6, 150000000)
     """
-    nanoseconds = max(nanoseconds_of(stamp) + round(seconds * 1e9), 0)
-    return divmod(nanoseconds, 1_000_000_000)
+    nanoseconds = nanoseconds_of(stamp) + round(seconds * 1e9)
+    return divmod(min(max(nanoseconds, 0), _LATEST), 1_000_000_000)

@@ -330,6 +330,16 @@ def test_the_stated_sigma_covers_what_noisy_poses_give() -> None:
     assert np.mean(np.array(inside) < 4.0) == pytest.approx(0.86, abs=0.05)
 
 
+@pytest.mark.parametrize('stamp', [(2**31 - 1, 2**32 - 1), (-(2**31), 0), (100, 2**32 - 1)])
+@pytest.mark.parametrize('is_known', [False, True])
+def test_any_stamp_that_a_message_can_hold_is_answered(stamp, is_known) -> None:
+    poses = known(pose_of(ORBIT, stamp)) if is_known else known()
+    tracker = Tracker(poses, readout=0.01)
+    data = message_of(ORBIT.boxes(*hulls(ORBIT)), stamp)
+    _, tracked, positions, _ = tracker.answer(data, camera_of(ORBIT))
+    assert tracked.stamp == positions.stamp == stamp
+
+
 def test_poses_in_another_frame_are_refused() -> None:
     with pytest.raises(PoseError, match="frame 'map', not 'earth'"):
         CameraPoses().add(pose_of(ORBIT, frame='map'))
