@@ -28,6 +28,7 @@ from ships import detections
 from vision_msgs.msg import Detection3D
 from vision_msgs.msg import Detection3DArray
 
+from obbhbb_ros.earth.quaternions import matrices_of_vectors
 from obbhbb_ros.wire.poses import WireAttitude
 from obbhbb_ros.wire.poses import WireFix
 from obbhbb_ros.wire.poses import read_attitude
@@ -41,6 +42,7 @@ pytest.importorskip('pyproj')
 from geodesy import GEOD
 from geodesy import TO_GEODETIC
 from geodesy import Scene
+from geodesy import ecef
 from geodesy import quaternion_of
 
 # It depends on rclpy alone, which is the same in all environments.
@@ -147,12 +149,20 @@ def stamped(stamp: Time, frame: str = 'earth', attitude: Any = None) -> PoseStam
     return message
 
 
-def with_covariance(stamp: Time) -> PoseWithCovarianceStamped:
-    """Make a pose message with a covariance of 1 m and 1 mrad."""
+def with_covariance(
+    stamp: Time, error: Any = None, covariance: Any = None
+) -> PoseWithCovarianceStamped:
+    """Make a pose message, by default right, with a covariance of 1 m and 1 mrad."""
     message = PoseWithCovarianceStamped()
     message.header.stamp, message.header.frame_id = stamp, 'earth'
     message.pose.pose = pose()
-    message.pose.covariance = np.diag([1.0] * 3 + [1e-6] * 3).ravel()
+    if error is not None:
+        (turn,) = matrices_of_vectors(error[None, 3:])
+        message.pose.pose = pose(quaternion_of(turn @ SCENE.matrix))
+        x, y, z = (SCENE.position + error[:3]).tolist()
+        message.pose.pose.position = Point(x=x, y=y, z=z)
+    known = np.diag([1.0] * 3 + [1e-6] * 3) if covariance is None else covariance
+    message.pose.covariance = known.ravel()
     return message
 
 
@@ -229,6 +239,25 @@ def test_every_ship_is_in_its_place_with_any_message_that_tells_the_pose(
     )
     known = np.isfinite(positions.covariances[:, :3, :3]).all()
     assert known == (pose_type == 'PoseWithCovarianceStamped')
+
+
+def test_the_stated_uncertainty_covers_the_errors_of_noisy_poses(begin: Begin) -> None:
+    node = begin('PoseWithCovarianceStamped')
+    random, images = np.random.default_rng(4), 150
+    spread = SCENE.pose((1.5, 1.5, 2.0, *np.radians((0.3, 0.3, 1.0)))).covariance
+    errors = random.multivariate_normal(np.zeros(6), spread, images)
+    distances = []
+    plane = SCENE.to_enu[:2]
+    for number, error in enumerate(errors):
+        node.tell_pose(100.0 + number, error=error, covariance=spread)
+        node.send_hulls(100.0 + number)
+        _, positions = node.answer_at(100.0 + number)
+        off = plane @ (positions.points[0] - ecef(HULLS[0, 0], HULLS[1, 0], 0.0))
+        stated = plane @ positions.covariances[0, :3, :3] @ plane.T
+        distances.append(off @ np.linalg.solve(stated, off))
+    # Of a normal distribution in the plane: 39 % within one standard deviation, 86 % within two.
+    assert np.mean(np.array(distances) < 1.0) == pytest.approx(0.39, abs=0.1)
+    assert np.mean(np.array(distances) < 4.0) == pytest.approx(0.86, abs=0.07)
 
 
 def test_an_image_without_a_pose_goes_on_after_a_time_and_the_reason_is_said(
