@@ -28,6 +28,8 @@ from obbhbb_ros.settings.parameter_file import yaml_value
 
 PACKAGE = 'obbhbb_ros'
 
+_PROFILE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
+
 ArgumentValue: TypeAlias = Callable[[str], str]
 """Returns the value of a launch argument by its name."""
 
@@ -44,7 +46,7 @@ def params_file(name: str, node: str) -> Any:
 
 
 def common_arguments(topics: Sequence[str]) -> list[Any]:
-    """Declare the arguments of every launch file; apply the DDS profile if an argument says so."""
+    """Declare the arguments of every launch file; choose the DDS profile, unless one is set."""
     share = get_package_share_directory(PACKAGE)
     return [
         *(argument(topic, topic, f'topic to use for `{topic}`') for topic in topics),
@@ -59,8 +61,9 @@ def common_arguments(topics: Sequence[str]) -> list[Any]:
             'in the parameter files',
         ),
         argument('large_messages', 'false', 'use the DDS profile for sending messages over 0.5 MB'),
+        SetEnvironmentVariable(_PROFILE, os.environ.get(_PROFILE, f'{share}/config/fastdds.xml')),
         SetEnvironmentVariable(
-            'FASTRTPS_DEFAULT_PROFILES_FILE',
+            _PROFILE,
             f'{share}/config/fastdds_nodes.xml',
             condition=IfCondition(LaunchConfiguration('large_messages')),
         ),

@@ -63,9 +63,13 @@ class Launched:
     logged: list[str]
 
 
-def launched(file: Path, arguments: Mapping[str, str] | None = None) -> Launched:
-    """Run a launch file with arguments."""
-    with TemporaryDirectory() as folder:
+def launched(
+    file: Path, arguments: Mapping[str, str] | None = None, profile: str | None = None
+) -> Launched:
+    """Run a launch file with arguments, in an environment with a DDS profile or none."""
+    with TemporaryDirectory() as folder, patch.dict(os.environ):
+        os.environ.pop(PROFILE, None)
+        os.environ.update({} if profile is None else {PROFILE: profile})
         run = (_by_launch if HAVE_LAUNCH else _by_stand_ins)(file, arguments or {}, Path(folder))
         share = f'{folder}/share/obbhbb_ros/'
         run = json.loads(json.dumps(run).replace(share, ''))
@@ -135,7 +139,7 @@ def _by_launch(file: Path, arguments: Mapping[str, str], folder: Path) -> dict[s
             (programs / script.name).write_text(NODE)
             (programs / script.name).chmod(0o755)
     prefixes = [str(folder), *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
-    environment = {name: value for name, value in os.environ.items() if name != PROFILE} | {
+    environment = os.environ | {
         'AMENT_PREFIX_PATH': os.pathsep.join(filter(None, prefixes)),
         'ROS_LOG_DIR': str(folder),
     }

@@ -33,6 +33,7 @@ CHAIN_TOPICS = (
 )
 TOPICS = ('detections', 'polygons', 'camera_info', 'boxes', 'crop_regions', 'crop_sources')
 LARGE = 'config/fastdds_nodes.xml'
+SEEN_SOON = 'config/fastdds.xml'
 
 
 def test_the_conversion_node_is_launched_as_it_is() -> None:
@@ -43,7 +44,7 @@ def test_the_conversion_node_is_launched_as_it_is() -> None:
     assert node.values('--params-file') == ['config/obb_to_hbb.yaml']
     assert node.values('--log-level') == ['info']
     assert node.parameters == {}
-    assert node.profile is None
+    assert node.profile == SEEN_SOON
     assert node.respawn
 
 
@@ -89,7 +90,7 @@ def test_the_downlink_is_three_nodes_each_with_its_parameters(monkeypatch) -> No
         assert node.remaps == itself | {topic: topic for topic in CHAIN_TOPICS}
         assert node.values('--params-file') == [f'config/{node.executable}.yaml']
         assert node.parameters == folders[node.executable]
-        assert node.profile is None
+        assert node.profile == SEEN_SOON
         assert node.respawn
 
 
@@ -127,6 +128,13 @@ def test_every_argument_of_the_downlink_applies(tmp_path: Path) -> None:
         assert node.parameters['state.path'] == f'/data/state/payload/{node.executable}.json'
         assert node.profile == LARGE
         assert not node.respawn
+
+
+def test_a_dds_profile_of_the_environment_stays() -> None:
+    (node,) = launched(CONVERTER, profile='/flight/dds.xml').started
+    assert node.profile == '/flight/dds.xml'
+    (node,) = launched(CONVERTER, {'large_messages': 'true'}, profile='/flight/dds.xml').started
+    assert node.profile == LARGE
 
 
 @pytest.mark.parametrize('name', NODES)
@@ -252,7 +260,7 @@ def test_what_a_launch_file_takes_by_default_exists(file: Path) -> None:
     defaults = launched(file).declared.values()
     paths = [value for value in defaults if value.startswith('config/')]
     assert paths
-    assert all((ROOT / path).is_file() for path in [*paths, LARGE])
+    assert all((ROOT / path).is_file() for path in [*paths, LARGE, SEEN_SOON])
 
 
 def test_every_launch_file_is_tested_here() -> None:
