@@ -210,7 +210,8 @@ class ShipMatcher:
         objects['shared_var'] += step * objects['speed_var'] + unrest * step / 2
         objects['speed_var'] += unrest
         # Nobody is expected more than a ship length off.
-        cut = np.minimum(1.0, objects['length'] / np.sqrt(objects['place_var']))
+        spread = np.sqrt(np.maximum(objects['place_var'], 0.0))
+        cut = objects['length'] / np.maximum(objects['length'], spread)
         objects['place_var'] *= cut**2
         objects['shared_var'] *= cut
         return objects

@@ -6,7 +6,7 @@ and the detections of `ship_tracker`.
     python test/fuzz/inputs.py --inputs 200000          # of each kind
 
 Whatever the bytes are, the message is refused in reading, or everything that the node does with it
-comes to its end. GEOS ends the process where it fails, so this is run as it is, without a net.
+comes to its end, without a warning. GEOS ends the process where it fails, so this is run as it is, without a net.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import random
 import struct
+import warnings
 from array import array
 from collections.abc import Callable
 
@@ -310,6 +311,8 @@ def main() -> None:
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--kinds', nargs='+', choices=KINDS, default=list(KINDS))
     options = parser.parse_args()
+    # NumPy's, of numbers that nobody has checked.
+    warnings.simplefilter('error', RuntimeWarning)
     for kind in options.kinds:
         seed, check = KINDS[kind]
         print(f'{kind}: ', end='', flush=True)
