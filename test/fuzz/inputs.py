@@ -6,7 +6,8 @@ and the detections of `ship_tracker`.
     python test/fuzz/inputs.py --inputs 200000          # of each kind
 
 Whatever the bytes are, the message is refused in reading, or everything that the node does with it
-comes to its end, without a warning. GEOS ends the process where it fails, so this is run as it is, without a net.
+comes to its end, without a warning. GEOS ends the process where it fails, so this is run as it is,
+without a net.
 """
 
 from __future__ import annotations
