@@ -37,6 +37,7 @@ from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.nodes.play_detections import camera_info_message
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.nodes.play_detections import image_message
 from obbhbb_ros.wire.buffer import Buffer
@@ -240,7 +241,8 @@ class _Camera:
         header = Header(stamp=moment.to_msg(), frame_id='camera')
         height, width = pixels.shape[:2]
         frame = self.frames[moment.nanoseconds] = list[Recorded]()
-        self._publishers['/camera_info'].publish(_camera_info(header, width, height))
+        k = (_FOCAL_LENGTH, 0.0, width / 2, 0.0, _FOCAL_LENGTH, height / 2, 0.0, 0.0, 1.0)
+        self._publishers['/camera_info'].publish(camera_info_message(header, (width, height), k))
         self._publishers['/image'].publish(image_message('rgb8', pixels, header))
         self._publishers['/detections'].publish(detections_message(labels, header))
         return frame
@@ -260,21 +262,6 @@ class _Camera:
         statuses = deserialize_message(data, DiagnosticArray).status
         if all(status.name.startswith(f'{namespace}/') for status in statuses):
             self.reports.append(Recorded(DIAGNOSTICS_TOPIC, time.time_ns(), bytes(data)))
-
-
-def _camera_info(header: Header, width: int, height: int) -> CameraInfo:
-    """Describe a camera without distortion; viewers refuse one without a focal length."""
-    f, x, y = _FOCAL_LENGTH, width / 2.0, height / 2.0
-    return CameraInfo(
-        header=header,
-        width=width,
-        height=height,
-        distortion_model='plumb_bob',
-        d=[0.0] * 5,
-        k=[f, 0.0, x, 0.0, f, y, 0.0, 0.0, 1.0],
-        r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        p=[f, 0.0, x, 0.0, 0.0, f, y, 0.0, 0.0, 0.0, 1.0, 0.0],
-    )
 
 
 class _Chain:

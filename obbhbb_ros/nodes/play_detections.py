@@ -19,6 +19,7 @@ import numpy as np
 from geometry_msgs.msg import Point32
 from geometry_msgs.msg import Polygon
 from geometry_msgs.msg import PolygonStamped
+from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -31,6 +32,9 @@ from vision_msgs.msg import ObjectHypothesisWithPose
 
 from obbhbb_ros.data import HARBOUR
 from obbhbb_ros.data import HARBOUR_SIZE
+from obbhbb_ros.earth.pose import CameraPose
+from obbhbb_ros.earth.pose_source import EARTH
+from obbhbb_ros.earth.straight_pass import StraightPass
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import LabelError
@@ -56,19 +60,24 @@ _DEPTH = 100
 
 
 class _Frame(NamedTuple):
-    """Labels to play, the file of their image, and the row at which a window of it begins."""
+    """
+    Labels to play, and the file of their image.
+
+    Of a pass also the row at which the window begins, and the way of the camera if it has a pose.
+    """
 
     labels: ImageLabels
     file: Path | None
     top: int | None = None
+    flight: StraightPass | None = None
 
 
 class PlayDetections(Node):
     """
     Node `play_detections`: one message per image, at a rate, once or looped.
 
-    Publishes `detections` or `polygons`, `camera_info` where the image's size is known, and
-    `image` where there are image files.
+    Publishes `detections` or `polygons`, `camera_info` where the image's size is known, `image`
+    where there are image files, and `camera_pose` in a pass at an altitude.
 
     Parameters
     ----------
@@ -101,6 +110,11 @@ class PlayDetections(Node):
             self, message_type(self._output_type), self._output_type.topic, _DEPTH
         )
         self._camera_publisher = create_output(self, CameraInfo, 'camera_info', _DEPTH)
+        self._pose_publisher = (
+            create_output(self, PoseStamped, 'camera_pose', _DEPTH)
+            if settings.pass_altitude
+            else None
+        )
         # Without image files the topic has no publisher, so that its subscribers can say so.
         self._image_publisher = (
             create_output(self, Image, 'image', depth=4) if any(self._files) else None
@@ -132,10 +146,10 @@ class PlayDetections(Node):
             if not settings.pass_height:
                 yield _Frame(labels, file)
                 continue
-            for top, seen in pass_over(
-                self._in_sight(labels, file), settings.pass_height, settings.pass_step
-            ):
-                yield _Frame(seen, file, top)
+            sighted = self._in_sight(labels, file)
+            flight = _flight(settings, sighted.size)
+            for top, seen in pass_over(sighted, settings.pass_height, settings.pass_step):
+                yield _Frame(seen, file, top, flight)
 
     def _in_sight(self, labels: ImageLabels, file: Path | None) -> ImageLabels:
         """Give labels the size of their image file; leave out, and report, those outside it."""
@@ -183,7 +197,12 @@ class PlayDetections(Node):
 
     def _subscribers_are_connected(self) -> bool:
         """Return whether all subscribers are connected, and none has come for a while."""
-        outputs = (self._publisher, self._camera_publisher, self._image_publisher)
+        outputs = (
+            self._publisher,
+            self._camera_publisher,
+            self._pose_publisher,
+            self._image_publisher,
+        )
         publishers = [publisher for publisher in outputs if publisher is not None]
         counts = [publisher.get_subscription_count() for publisher in publishers]
         subscribers = [self.count_subscribers(publisher.topic_name) for publisher in publishers]
@@ -208,14 +227,21 @@ class PlayDetections(Node):
         size = labels.size or (image and (image.width, image.height))
         # Before the labels, because a node that plans crops needs the size first.
         if size:
-            width, height = size
-            self._camera_publisher.publish(CameraInfo(header=header, width=width, height=height))
+            self._publish_camera(frame, size, header)
         if image and self._image_publisher is not None:
             self._image_publisher.publish(image)
         for message in _MESSAGES[self._output_type.name](labels, header, settings.bow):
             if frame.top is not None:
                 _forget_ids(message)
             self._publisher.publish(message)
+
+    def _publish_camera(self, frame: _Frame, size: ImageSize, header: Header) -> None:
+        """Publish what is known of the camera of an image of a size."""
+        flight, top, height = frame.flight, frame.top, size[1]
+        k = () if flight is None else flight.k(height)
+        self._camera_publisher.publish(camera_info_message(header, size, k))
+        if self._pose_publisher is not None and flight is not None and top is not None:
+            self._pose_publisher.publish(_pose_message(flight.pose(top, height), header))
 
     def _read_image(self, frame: _Frame, header: Header) -> Image | None:
         """Read the image of a frame; None if it cannot be read."""
@@ -254,6 +280,45 @@ class PlayDetections(Node):
 def _pixels(size: ImageSize | None) -> str:
     """Write a size."""
     return '{} x {} pixels'.format(*size) if size else 'an unknown size'
+
+
+def _flight(settings: PlayerSettings, size: ImageSize | None) -> StraightPass | None:
+    """Return how the camera flies over an image, if it has a pose."""
+    if not settings.pass_altitude or size is None:
+        return None
+    return StraightPass(
+        settings.pass_latitude,
+        settings.pass_longitude,
+        settings.pass_altitude,
+        settings.pass_ground_sample_distance,
+        size,
+    )
+
+
+def _pose_message(pose: CameraPose, header: Header) -> PoseStamped:
+    """Write a pose of the camera, in frame `earth`, with the stamp of its image."""
+    message = PoseStamped(header=Header(stamp=header.stamp, frame_id=EARTH))
+    place, attitude = message.pose.position, message.pose.orientation
+    place.x, place.y, place.z = pose.position.tolist()
+    attitude.x, attitude.y, attitude.z, attitude.w = pose.attitude.tolist()
+    return message
+
+
+def camera_info_message(header: Header, size: ImageSize, k: Sequence[float] = ()) -> CameraInfo:
+    """Describe a camera without distortion by width, height and K, nine numbers; none: unknown."""
+    width, height = size
+    if not k:
+        return CameraInfo(header=header, width=width, height=height)
+    return CameraInfo(
+        header=header,
+        width=width,
+        height=height,
+        distortion_model='plumb_bob',
+        d=[0.0] * 5,
+        k=k,
+        r=np.eye(3).ravel(),
+        p=np.column_stack((np.reshape(k, (3, 3)), np.zeros(3))).ravel(),
+    )
 
 
 def _forget_ids(message: Any) -> None:

@@ -69,6 +69,28 @@ class PlayerSettings(CheckedSettings):
         Range(1, IMAGE_SIZE_LIMIT),
         read_only=True,
     )
+    pass_altitude: float = setting(
+        0.0,
+        'Altitude of that camera above the ellipsoid, metres: its pose is on `camera_pose`, its '
+        'focal length in `camera_info`. It looks straight down and flies south. 0: no pose.',
+        Range(0.0, 1e8),
+        read_only=True,
+    )
+    pass_latitude: float = setting(
+        0.0,
+        'Latitude of the middle of every image, degrees. North is up in the image.',
+        Range(-90.0, 90.0),
+        read_only=True,
+    )
+    pass_longitude: float = setting(
+        0.0,
+        'Longitude of the middle of every image, degrees.',
+        Range(-180.0, 180.0),
+        read_only=True,
+    )
+    pass_ground_sample_distance: float = setting(
+        1.0, 'Size of a pixel on the ground, metres.', Range(1e-4, 1e4), read_only=True
+    )
     frame_id: str = setting('camera', 'frame_id of every header.')
     image_width: int = setting(
         0, 'Width of every image, pixels. 0: from the labels or images.', _SIDE, read_only=True
@@ -90,6 +112,8 @@ class PlayerSettings(CheckedSettings):
             raise ValueError('image_width and image_height must be given together')
         if self.pass_height and self.pass_step > self.pass_height:
             raise ValueError('pass_step must not exceed pass_height: ships between are never seen')
+        if self.pass_altitude and not self.pass_height:
+            raise ValueError('pass_altitude needs a pass: set pass_height')
 
 
 PLAY_DETECTIONS = ParameterTable(rows_of(PlayerSettings), partial(settings_of, PlayerSettings))

@@ -28,7 +28,10 @@ from ships import detections
 from vision_msgs.msg import Detection3D
 from vision_msgs.msg import Detection3DArray
 
+from obbhbb_ros.data import HARBOUR_SIZE
 from obbhbb_ros.earth.quaternions import matrices_of_vectors
+from obbhbb_ros.earth.straight_pass import StraightPass
+from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.wire.poses import WireAttitude
 from obbhbb_ros.wire.poses import WireFix
 from obbhbb_ros.wire.poses import read_attitude
@@ -371,3 +374,33 @@ def test_positions_of_others_may_have_no_hypothesis() -> None:
     read = read_positions(serialize_message(message))
     assert list(read.ids) == ['0', '1', '2']
     assert np.isnan(read.covariances).all()
+
+
+def test_the_ships_of_a_played_pass_are_where_the_image_says(site: Site) -> None:
+    over = StraightPass(54.2, 12.1, 500e3, 1.0, HARBOUR_SIZE)
+    true = harbour().boxes()
+    latitudes, longitudes = over.places(true.center)
+    with Tracker(site, 'PoseStamped', ids='assign') as node:
+        played = {'pass_height': 300, 'pass_step': 100, 'pass_altitude': 500e3, 'rate': 10.0}
+        played |= {'pass_latitude': 54.2, 'pass_longitude': 12.1}
+        with site.start('play_detections', namespace=node.namespace, parameters=played) as player:
+            node.wait(lambda: not player.running, 'the end of the pass')
+            assert player.wait() == 0
+        node.wait(lambda: len(node.positions) == 6, 'all positions')
+        ships: dict[str, list[Detection3D]] = {}
+        for message in node.positions:
+            for ship in message.detections:
+                ships.setdefault(ship.id, []).append(ship)
+    assert len(ships) == pytest.approx(len(true), abs=1)
+    for views in ships.values():
+        points = [view.bbox.center.position for view in views]
+        found = np.array([(point.x, point.y, point.z) for point in points])
+        longitude, latitude, _ = TO_GEODETIC.transform(*found.T)
+        _, _, away = GEOD.inv(
+            *np.broadcast_arrays(longitudes, latitudes, longitude[0], latitude[0])
+        )
+        (row,) = np.flatnonzero(away < 0.01)
+        # Of all its views.
+        assert np.ptp(found, axis=0).max() < 0.001
+        lengths = [view.bbox.size.x for view in views]
+        np.testing.assert_allclose(lengths, true.length[row], rtol=1e-4)
