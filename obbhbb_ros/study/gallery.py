@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The chips of an outbox, or of a folder that received its files, as an HTML page: a card per ship.
+What an outbox, or a folder that received its files, holds, as an HTML page: a card per ship, a map.
 
 The page links to the chips: it is small, and has to stay where it is relative to them. Only what
 browsers do not show, JPEG 2000 and 16 bits, is converted and embedded. Needs Jinja2, the extra
@@ -24,11 +24,17 @@ import numpy as np
 from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.labels.image_files import opened_image
+from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.study.pages import rendered
 from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.progress import track
 from obbhbb_ros.study.received import Received
 from obbhbb_ros.study.received import ReceivedChip
+from obbhbb_ros.study.ship_files import course_text
+from obbhbb_ros.study.ship_files import described
+from obbhbb_ros.study.ship_files import motion_text
+from obbhbb_ros.study.ship_map import ship_map
+from obbhbb_ros.study.ship_rows import ship_rows
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import stamp_text
 
@@ -73,6 +79,9 @@ def gallery_page(
     classes = Counter(printable(views[0].facts['class_id']) for views in ships)
     numbers = {class_id: number for number, (class_id, _) in enumerate(classes.most_common())}
     cards = [_card(views, numbers, beside, received.problems) for views in track(shown, 'drawing')]
+    rows = {row.facts.id or row.files[0]: row.facts for row in ship_rows([received], Counter())}
+    for card, views in zip(cards, shown, strict=True):
+        card['place'] = _place(rows.get(views[0].facts['object'] or views[0].path))
     times = sorted(chip.time for chip in received.chips)
     return rendered(
         'gallery.html',
@@ -87,6 +96,7 @@ def gallery_page(
         size=sum(chip.size or 0 for chip in received.chips),
         problems=received.problems,
         cards=cards,
+        map=_map(rows, shown),
     )
 
 
@@ -105,6 +115,41 @@ def _card(
         'first': min(times),
         'last': max(times),
     }
+
+
+def _place(ship: ShipReport | None) -> dict[str, str] | None:
+    """Write where a ship is, its size and course; None if that is not known."""
+    if ship is None:
+        return None
+    sides = 'S' if ship.latitude < 0.0 else 'N', 'W' if ship.longitude < 0.0 else 'E'
+    degrees = f'{abs(ship.latitude):.5f}° {sides[0]}, {abs(ship.longitude):.5f}° {sides[1]}'
+    within = '' if ship.sigma_m is None else f' ± {ship.sigma_m[0]:.1f} m'
+    return {
+        'where': degrees + within,
+        'size': f'{ship.length_m:.0f} × {ship.width_m:.0f} m',
+        'course': course_text(ship),
+        'motion': motion_text(ship),
+    }
+
+
+def _map(
+    rows: dict[str | Path, ShipReport], shown: list[list[ReceivedChip]]
+) -> dict[str, Any] | None:
+    """Collect what the template shows of the map; None if no place is known."""
+    if not rows:
+        return None
+    numbers = {views[0].facts['object'] or views[0].path: n for n, views in enumerate(shown, 1)}
+    drawn = ship_map(list(rows.values()))
+    marks = [
+        {'x': x, 'y': y, 'card': numbers.get(key), 'text': _mark_text(ship)}
+        for (key, ship), (x, y) in zip(rows.items(), drawn.places, strict=True)
+    ]
+    return {'drawn': drawn, 'marks': marks, 'listed': sum(not mark['card'] for mark in marks)}
+
+
+def _mark_text(ship: ShipReport) -> str:
+    """Describe a ship on the map."""
+    return ': '.join(filter(None, (printable(ship.id), described(ship))))
 
 
 def _view(chip: ReceivedChip, beside: Path, problems: list[str]) -> dict[str, Any]:

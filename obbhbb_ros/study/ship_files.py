@@ -214,13 +214,23 @@ def _placemark(row: ShipRow) -> str:
     )
 
 
+def course_text(facts: ShipReport) -> str:
+    """Write a course; where bow and stern may be mixed up, both."""
+    either = f' or {facts.course + 180.0:.0f}°' if facts.course_ambiguous else ''
+    return f'{facts.course:.0f}°{either}'
+
+
+def motion_text(facts: ShipReport) -> str:
+    """Write speed and course over ground, what is known of them."""
+    speed, course = facts.speed, facts.course_over_ground
+    towards = '' if course is None else f'towards {course:.0f}°'
+    return ' '.join(filter(None, ('' if speed is None else f'{speed:.1f} m/s', towards)))
+
+
 def described(facts: ShipReport) -> str:
     """Describe a ship in a line: class, size, course, uncertainty."""
     size = f'{facts.length_m:.0f} x {facts.width_m:.0f} m'
-    either = f' or {facts.course + 180.0:.0f}' if facts.course_ambiguous else ''
-    parts = [printable(facts.class_id), size, f'course {facts.course:.0f}{either}°']
-    if facts.speed is not None:
-        parts.append(f'{facts.speed:.1f} m/s')
+    parts = [printable(facts.class_id), size, f'course {course_text(facts)}', motion_text(facts)]
     if facts.sigma_m is not None:
         parts.append(f'within {facts.sigma_m[0]:.1f} m')
     return ', '.join(filter(None, parts))

@@ -5,7 +5,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from outboxes import make_outbox
+from outboxes import make_placed_outbox
 
 from obbhbb_ros.cli import main
 
@@ -20,7 +20,7 @@ WINDOWS = list(product((360, 1280), ('light', 'dark')))
 @pytest.fixture(scope='module')
 def pages(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp('pages')
-    make_outbox(folder / 'box', 12)
+    make_placed_outbox(folder / 'box', 12)
     made = {name: folder / f'{name}.html' for name in ('gallery', 'report')}
     assert main(['gallery', str(folder / 'box'), '-o', str(made['gallery'])]) == 0
     assert main(['report', str(REAL), '-o', str(made['report']), '--gallery', '3']) == 0
