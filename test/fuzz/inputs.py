@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """
 Feed damaged messages to the other inputs of the nodes: polygons, crop plans, images, camera infos,
-and the detections of `ship_tracker`.
+poses, positions, and the detections of `ship_tracker`.
 
     python test/fuzz/inputs.py --inputs 200000          # of each kind
 
@@ -13,6 +13,7 @@ without a net.
 from __future__ import annotations
 
 import argparse
+import json
 import random
 import struct
 import warnings
@@ -23,12 +24,19 @@ import numpy as np
 from geometry_msgs.msg import Point32
 from geometry_msgs.msg import Polygon
 from geometry_msgs.msg import PolygonStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import Quaternion
 from polygon_msgs.msg import Point2D
 from polygon_msgs.msg import Polygon2D
 from polygon_msgs.msg import Polygon2DCollection
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image
+from sensor_msgs.msg import Imu
+from sensor_msgs.msg import NavSatFix
+from vision_msgs.msg import Detection3D
+from vision_msgs.msg import Detection3DArray
+from vision_msgs.msg import ObjectHypothesisWithPose
 from wire import TEXTS
 from wire import run_mutations
 from wire import seed_message
@@ -45,13 +53,22 @@ from obbhbb_ros.downlink.chips import cut
 from obbhbb_ros.downlink.chips import pixel_format
 from obbhbb_ros.downlink.chips import placed
 from obbhbb_ros.downlink.chips import view_of
+from obbhbb_ros.earth.pinhole import Pinhole
+from obbhbb_ros.earth.placement import place
 from obbhbb_ros.earth.pose import CameraPose
+from obbhbb_ros.earth.pose import PoseError
+from obbhbb_ros.earth.pose_source import CameraPoses
 from obbhbb_ros.earth.pose_source import PoseAt
+from obbhbb_ros.earth.pose_source import VehiclePoses
+from obbhbb_ros.earth.reported import ShipPlaces
+from obbhbb_ros.earth.reported import reported_covariances
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.identification import ShipIdentifier
 from obbhbb_ros.identification import TrackerOutputs
 from obbhbb_ros.pipeline import Batch
 from obbhbb_ros.pipeline import Output
+from obbhbb_ros.placing import ShipPlacer
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.ship_tracker import SHIP_TRACKER
 from obbhbb_ros.wire.buffer import WireError
@@ -62,6 +79,11 @@ from obbhbb_ros.wire.image import read_image
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 from obbhbb_ros.wire.plans import WirePlan
 from obbhbb_ros.wire.plans import read_sources
+from obbhbb_ros.wire.poses import WireAttitude
+from obbhbb_ros.wire.poses import WireFix
+from obbhbb_ros.wire.poses import read_attitude
+from obbhbb_ros.wire.poses import read_fix
+from obbhbb_ros.wire.poses import read_pose
 from obbhbb_ros.wire.positions import read_positions
 from obbhbb_ros.wire.stamp import Stamp
 
@@ -165,6 +187,62 @@ def camera_seed(source: random.Random) -> bytes:
     return serialize_message(info)
 
 
+def lens_seed(source: random.Random) -> bytes:
+    """Write a `CameraInfo` with K and D."""
+    info = CameraInfo(width=640, height=480)
+    info.distortion_model = source.choice(
+        ['plumb_bob', 'rational_polynomial', 'equidistant', *TEXTS]
+    )
+    info.k = [1e5, 0.0, 320.0, 0.0, 1e5, 240.0, 0.0, 0.0, 1.0]
+    info.d = [source.uniform(-1.0, 1.0)] * source.choice([0, 4, 5, 8, 12, 14])
+    info.binning_x = source.choice([0, 1, 2, 2**32 - 1])
+    return serialize_message(info)
+
+
+def pose_seed(source: random.Random) -> bytes:
+    """Write a `PoseWithCovarianceStamped`, from 500 km straight down."""
+    message = PoseWithCovarianceStamped()
+    message.header.stamp.sec = source.choice([0, 99, 100, 101, 2**31 - 1])
+    message.header.frame_id = source.choice(['earth', 'earth', *TEXTS])
+    message.pose.pose.position.x = 6_878_137.0
+    x, y, z, w = 0.5, 0.5, -0.5, -0.5
+    message.pose.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
+    message.pose.covariance = source.choice([1.0, 0.0, 1e-9]) * np.eye(6).ravel()
+    return serialize_message(message)
+
+
+def fix_seed(source: random.Random) -> bytes:
+    """Write a `NavSatFix`."""
+    message = NavSatFix(latitude=54.0, longitude=source.choice([12.0, 360.0]), altitude=120.0)
+    message.header.stamp.sec = source.choice([0, 99, 100, 101])
+    message.status.status = source.choice([-2, -1, 0, 2])
+    message.position_covariance_type = source.randrange(4)
+    return serialize_message(message)
+
+
+def attitude_seed(source: random.Random) -> bytes:
+    """Write an `Imu`."""
+    message = Imu()
+    message.header.stamp.sec = source.choice([0, 99, 100, 101])
+    message.orientation.w = 1.0
+    message.orientation_covariance[0] = source.choice([-1.0, 0.0, 1e-6])
+    return serialize_message(message)
+
+
+def positions_seed(source: random.Random) -> bytes:
+    """Write a `Detection3DArray`."""
+    message = Detection3DArray()
+    message.header.frame_id = source.choice(['earth', *TEXTS])
+    for _ in range(source.choice([0, 1, 3, 40])):
+        one = Detection3D(id=source.choice(TEXTS))
+        one.bbox.center.position.x = 6_378_137.0
+        one.bbox.center.orientation.w = 1.0
+        one.bbox.size.x, one.bbox.size.y = coordinate(source), coordinate(source)
+        one.results = [ObjectHypothesisWithPose() for _ in range(source.choice([0, 1, 1, 2]))]
+        message.detections.append(one)
+    return serialize_message(message)
+
+
 def batch_check(name: str) -> Callable[[bytes], str]:
     """Do with a message what the conversion node does."""
 
@@ -213,6 +291,60 @@ def regions_check(data: bytes) -> str:
         placed(region, (640, 480), layout)
         Detections(plan.alone(row, (1, 2), plan.stamp, 'camera'))
     return 'read'
+
+
+def poses_check(kind: str) -> Callable[[bytes], str]:
+    """Do with a message about the pose what `ship_tracker` does, and place a ship by it."""
+    camera, vehicle = CameraPoses(), VehiclePoses()
+    add: Callable[[bytes], None] = {
+        'pose': lambda data: camera.add(read_pose(data, 'PoseWithCovarianceStamped')),
+        'fix': lambda data: vehicle.add_fix(read_fix(data)),
+        'attitude': lambda data: vehicle.add_attitude(read_attitude(data)),
+    }[kind]
+    vehicle.add_fix(WireFix((100, 0), 0, (54.0, 12.0, 120.0), 9 * (1.0,), 2))
+    vehicle.add_attitude(WireAttitude((100, 0), (0.0, 0.0, 0.0, 1.0), 9 * (1e-6,)))
+    mount = np.array([0.5**0.5, -(0.5**0.5), 0.0, 0.0])
+    boxes = OrientedBoxes.from_xywhr([[320.0, 240.0, 60.0, 10.0, 0.5]])
+    lens = Pinhole([1e5, 0, 320, 0, 1e5, 240, 0, 0, 1])
+
+    def check(data: bytes) -> str:
+        try:
+            add(data)
+        except (WireError, PoseError):
+            return 'refused'
+        found = camera.at((100, 0), 1.0) if kind == 'pose' else vehicle.at((100, 0), 1.0, mount)
+        if found is None:
+            return 'at another time'
+        ships = place(boxes, lens, found.pose)
+        reported_covariances(ships)
+        return 'placed' if not ships.unplaced.any() else 'not placed'
+
+    return check
+
+
+def positions_check(data: bytes) -> str:
+    """Do with positions what the chip node does."""
+    try:
+        positions = read_positions(data)
+        places = ShipPlaces(positions, (6_878_137.0, 0.0, 0.0))
+    except (WireError, PoseError):
+        return 'refused'
+    known = [places.facts(ship) for ship in positions.ids]
+    json.dumps(known, allow_nan=False)
+    return 'read'
+
+
+def lens_check(data: bytes) -> str:
+    """Place a ship by a camera info, as `ship_tracker` does."""
+    settings = TRACKER_SETTINGS[1].place
+    try:
+        camera = read_camera(data)
+    except WireError:
+        return 'refused'
+    assert settings is not None
+    boxes = OrientedBoxes.from_xywhr([[320.0, 240.0, 60.0, 10.0, 0.5]])
+    placed_ships = ShipPlacer(Above()).place(boxes, (100, 0), camera, settings)
+    return next(iter(placed_ships.counts), 'placed')
 
 
 class Above:
@@ -289,6 +421,11 @@ KINDS = {
     'regions': (seed_message, regions_check),
     'image': (image_seed, image_check),
     'camera_info': (camera_seed, camera_check),
+    'camera_info of places': (lens_seed, lens_check),
+    'camera_pose': (pose_seed, poses_check('pose')),
+    'fix': (fix_seed, poses_check('fix')),
+    'attitude': (attitude_seed, poses_check('attitude')),
+    'positions': (positions_seed, positions_check),
 }
 
 
