@@ -125,7 +125,7 @@ class ShipPlaces:
         return {
             'lat': round(latitude, 7),
             'lon': round(longitude, 7),
-            'course': round(course, 1),
+            'course': round(course, 1) % (180.0 if is_ambiguous else 360.0),
             'course_ambiguous': is_ambiguous,
             'length_m': round(length, 1),
             'width_m': round(width, 1),

@@ -22,6 +22,8 @@ __all__ = ['MAX_SHIPS', 'ShipCollector', 'joined_reports']
 MAX_SHIPS = 20_000
 """Ships that are remembered until they are listed."""
 
+# Characters of an id or a class, so that a list of many ships can be read again.
+_MAX_TEXT = 64
 # Degrees between the axis of a hull and its way, up to which a ship is taken to go ahead.
 _AHEAD = 30.0
 
@@ -70,14 +72,15 @@ class ShipCollector:
         Returns
         -------
         int
-            How many ships with a place are not remembered: they have no id, or there are too many.
+            How many ships with a place are not remembered: they have no id or one of more than 64
+            characters, or there are too many. A longer class is cut.
         """
         ellipses, spread = places.ellipses, places.covariance
         forgotten = 0
         for row in np.flatnonzero(places.unplaced == 0).tolist():
             ship = self._ships.get(ids[row])
             if ship is None:
-                if not ids[row] or len(self._ships) >= MAX_SHIPS:
+                if not 0 < len(ids[row]) <= _MAX_TEXT or len(self._ships) >= MAX_SHIPS:
                     forgotten += 1
                     continue
                 ship = self._ships[ids[row]] = _SeenShip(stamp, places, row)
@@ -88,7 +91,9 @@ class ShipCollector:
             best = (*quality, float(places.elevation[row]))
             report = _report(ids[row], stamp, places, row, ellipse)
             score = float(scores[row])
-            ship.note(report, best, class_ids[row], score if math.isfinite(score) else None)
+            ship.note(
+                report, best, class_ids[row][:_MAX_TEXT], score if math.isfinite(score) else None
+            )
         return forgotten
 
     def take(self) -> list[ShipReport]:

@@ -107,7 +107,7 @@ def _feature(ship: ShipReport) -> dict[str, Any]:
     """Describe a ship as a feature."""
     sigma = ship.sigma_m
     properties = {
-        'course': _rounded(ship.course, 1),
+        'course': _turned(ship.course, 180.0 if ship.course_ambiguous else 360.0),
         'course_ambiguous': ship.course_ambiguous,
         'length_m': _rounded(ship.length_m, 1),
         'width_m': _rounded(ship.width_m, 1),
@@ -119,7 +119,7 @@ def _feature(ship: ShipReport) -> dict[str, Any]:
         'views': ship.views,
         'speed': _rounded(ship.speed, 1),
         'speed_sigma': _short(ship.speed_sigma),
-        'course_over_ground': _rounded(ship.course_over_ground, 1),
+        'course_over_ground': _turned(ship.course_over_ground, 360.0),
         'course_over_ground_sigma': _short(ship.course_over_ground_sigma),
     }
     place = [_rounded(ship.longitude, _DECIMALS), _rounded(ship.latitude, _DECIMALS)]
@@ -134,6 +134,11 @@ def _feature(ship: ShipReport) -> dict[str, Any]:
 def _rounded(value: float | None, decimals: int) -> float | None:
     """Round a number, to an integer where it is one."""
     return None if value is None else _plain(round(value, decimals))
+
+
+def _turned(value: float | None, circle: float) -> float | None:
+    """Round a course, so that it stays below a circle or half of one."""
+    return None if value is None else _plain(round(value, 1) % circle)
 
 
 def _short(value: float | None) -> float | None:

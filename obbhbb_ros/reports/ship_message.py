@@ -56,6 +56,8 @@ _MAX_AGE, _MAX_AGE_STEP = 2 ** _WIDTHS['age'] - 1, 2**16 - 1
 _MAX_VIEWS = 2 ** _WIDTHS['views'] - 1
 _SCORE_STEPS = 14
 _SECOND = 1_000_000_000
+# Of the header, seconds.
+_LATEST = 2**31 - 1
 _MAX_NUMBER = 2**32 - 1
 _ID = re.compile('(.*?)(0|[1-9][0-9]*)', re.DOTALL)
 # Bytes of the text before the number of an id, and of a class; longer ones are not said.
@@ -160,7 +162,7 @@ def _message(
     classes: Sequence[bytes],
 ) -> bytes:
     """Write a message of ships, by the numbers of their ids and the table of classes."""
-    times = [ship.last // _SECOND for ship in ships]
+    times = [min(ship.last // _SECOND, _LATEST) for ship in ships]
     newest = max(times, default=0)
     step = min(max(1, -(-(newest - min(times, default=0)) // _MAX_AGE)), _MAX_AGE_STEP)
     known = [number for number in numbers if number is not None]

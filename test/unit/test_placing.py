@@ -301,6 +301,13 @@ def test_the_ground_is_told_where_a_ship_is_and_how_well_that_is_known() -> None
     assert facts['pose_age'] == 0.0
 
 
+@pytest.mark.parametrize(('course', 'heading'), [(359.98, 'theta'), (179.98, 'none')])
+def test_no_course_is_told_as_a_full_circle(course, heading) -> None:
+    truth = hulls(ORBIT, courses=np.full(len(LENGTHS), course))
+    _, _, positions, _ = placed(ORBIT, known(pose_of(ORBIT)), ORBIT.boxes(*truth), heading=heading)
+    assert min(facts_of(positions, row)['course'] for row in range(len(LENGTHS))) == 0.0
+
+
 def test_the_stated_sigma_covers_what_noisy_poses_give() -> None:
     scene, sigmas = DRONE, np.array((1.5, 1.5, 2.0, *np.radians((0.3, 0.3, 1.0))))
     latitude, longitude, course, length, width = (part[2:3] for part in hulls(scene))

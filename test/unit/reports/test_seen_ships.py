@@ -113,6 +113,14 @@ def test_ships_without_a_place_or_an_id_are_not_listed_and_the_latter_counted() 
     assert [ship.id for ship in collector.take()] == ['s-1']
 
 
+def test_long_ids_are_not_listed_and_long_classes_are_cut() -> None:
+    collector, row = ShipCollector(), [[300, 500, 60, 10, 0.0]]
+    assert note(collector, 0, row, ['s' * 65]) == 1
+    assert note(collector, 0, row, ['s' * 64], classes=['c' * 100_000]) == 0
+    (ship,) = collector.take()
+    assert (ship.id, ship.class_id) == ('s' * 64, 'c' * 64)
+
+
 def test_memory_is_bounded() -> None:
     collector = ShipCollector()
     rows = [[300, 500, 60, 10, 0.0]] * (MAX_SHIPS + 5)

@@ -99,7 +99,10 @@ def test_geojson_gives_back_what_it_was_made_of(ships):
         assert again.longitude == pytest.approx(ship.longitude, abs=0.51e-6)
         assert again.length_m == pytest.approx(ship.length_m, abs=0.051)
         assert again.width_m == pytest.approx(ship.width_m, abs=0.051)
-        assert again.course == pytest.approx(ship.course, abs=0.051)
+        circle = 180.0 if ship.course_ambiguous else 360.0
+        assert 0.0 <= again.course < circle
+        off = (again.course - ship.course + circle / 2) % circle - circle / 2
+        assert abs(off) <= 0.051
         for name in ('first', 'last'):
             assert abs(getattr(again, name) - getattr(ship, name)) <= 500_001
         for name in ('score', 'speed', 'speed_sigma', 'course_over_ground_sigma'):
@@ -115,6 +118,24 @@ def test_geojson_gives_back_what_it_was_made_of(ships):
 def test_geojson_that_is_read_is_written_as_it_was(ships):
     content = ship_geojson(ships)
     assert ship_geojson(read_ship_list(content)) == content
+
+
+def test_no_course_is_rounded_to_a_full_circle():
+    ships = [
+        replace(TUG, course=179.96, course_over_ground=359.96),
+        replace(TUG, course=359.96, course_ambiguous=False),
+    ]
+    ambiguous, known = read_ship_list(ship_geojson(ships))
+    assert (ambiguous.course, ambiguous.course_over_ground, known.course) == (0.0, 0.0, 0.0)
+
+
+def test_a_message_holds_any_stamp_of_an_image():
+    stamps = [-(2**31) * 10**9, 0, (2**31 - 1) * 10**9 + 999_999_999, (2**31 + 3) * 10**9]
+    ships = [replace(TUG, first=stamp, last=stamp) for stamp in stamps]
+    for ship, stamp in zip(ships, stamps, strict=True):
+        (again,) = read_ship_list(ship_message([ship], 340).content)
+        assert again.last == min(stamp // 10**9, 2**31 - 1) * 10**9
+    assert len(read_ship_list(ship_message(ships, 340).content)) == len(stamps)
 
 
 def test_geojson_is_what_rfc_7946_asks_for():
