@@ -27,6 +27,7 @@ FOLDERS = {
 }
 # The arguments that set a parameter of a node.
 PATHS = {
+    'ship_tracker': {'spool': 'spool.path'},
     'chip_extractor': {'spool': 'spool.path'},
     'downlink': {'spool': 'spool.path', 'outbox': 'outbox.path'},
 }

@@ -11,6 +11,7 @@ from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Bool
 
 from obbhbb_ros.downlink.contact_watch import ContactWatch
+from obbhbb_ros.nodes.list_report import list_facts
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import reliable
 from obbhbb_ros.nodes.reporter import plain_yaml
@@ -21,6 +22,7 @@ from obbhbb_ros.settings.downlink import DownlinkSettings
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.feeder import FeederThread
+from obbhbb_ros.spool.list_spool import ListSpool
 from obbhbb_ros.wire.contact import read_contact
 
 # Seconds after which a thread that gives no sign is reported; it may wait for another process.
@@ -50,6 +52,7 @@ class Downlink(ManagedNode[DownlinkSettings]):
         self._worker: FeederThread | None = None
         self._books: SpoolConsole | None = None
         self._spool_report: SpoolReport | None = None
+        self._lists: ListSpool | None = None
         self._contact = ContactWatch()
         self._contact_in = self.topics.input(
             Bool, 'contact', self._on_contact, qos=reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
@@ -63,6 +66,7 @@ class Downlink(ManagedNode[DownlinkSettings]):
         settings = self.parameters.settings
         self._books = SpoolConsole(Path(settings.spool_path), self._warn_of_spool)
         self._spool_report = SpoolReport(self.reporter, self._books)
+        self._lists = ListSpool(Path(settings.spool_path), self._warn_of_spool)
         self._worker = FeederThread(
             Path(settings.spool_path), Path(settings.outbox_path), settings.release
         )
@@ -83,6 +87,9 @@ class Downlink(ManagedNode[DownlinkSettings]):
         if self._books is not None:
             self._books.close()
             self._books = self._spool_report = None
+        if self._lists is not None:
+            self._lists.close()
+            self._lists = None
 
     def worker_sign(self) -> int | None:
         """Return how many signs of life the releasing thread has given."""
@@ -153,6 +160,8 @@ class Downlink(ManagedNode[DownlinkSettings]):
         }
         try:
             facts.update(self._spool_report.facts())
+            if self._lists is not None and self._lists.exists:
+                facts.update(list_facts(self._lists))
         except SpoolError as error:
             self._warn_of_spool(str(error))
         return facts

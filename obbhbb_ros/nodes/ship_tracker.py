@@ -18,6 +18,7 @@ from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import TopicOutput
 from obbhbb_ros.nodes.parts import steady_timer
 from obbhbb_ros.nodes.pose_inputs import PoseInputs
+from obbhbb_ros.nodes.ship_lists import ShipLists
 from obbhbb_ros.pipeline import ConversionOutcome
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.settings.ship_tracker import NO_POSE
@@ -42,8 +43,8 @@ class ShipTracker(ManagedNode[TrackerSettings]):
     Managed node `ship_tracker`.
 
     Subscribes to oriented detections, to `camera_info` and to the pose of the camera, publishes
-    `tracked_detections`, `positions`, `image_pose` and `/diagnostics`. Topics and parameters:
-    `doc/ship_tracker.md`.
+    `tracked_detections`, `positions`, `image_pose` and `/diagnostics`, and lists the ships in the
+    spool. Topics and parameters: `doc/ship_tracker.md`.
 
     Parameters
     ----------
@@ -73,12 +74,18 @@ class ShipTracker(ManagedNode[TrackerSettings]):
                 image_pose=_output(self.topics.output(PoseWithCovarianceStamped, 'image_pose')),
             )
         self._detections = DetectionsInput(self, self._answer, waits)
+        # Behind the detections, so that its last list has all of them.
+        listing = self.parameters.settings.reports.period > 0.0
+        self._lists = ShipLists(self) if listing else None
         self.reporter.add_facts(self._facts)
         self._timer: Any = None
 
     def configure(self) -> None:
         """Forget all ships, and begin a new session of ids."""
-        self._identifier = ShipIdentifier(None if self._poses is None else self._poses.poses)
+        self._identifier = ShipIdentifier(
+            None if self._poses is None else self._poses.poses,
+            None if self._lists is None else self._lists.collector,
+        )
         if self._poses is not None:
             self._timer = steady_timer(self, _PERIOD, self._detections.catch_up)
 
@@ -87,6 +94,13 @@ class ShipTracker(ManagedNode[TrackerSettings]):
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
+
+    def destroy_node(self) -> None:
+        """List the ships of the last period."""
+        if self._lists is not None:
+            self._lists.deactivate()
+            self._lists.cleanup()
+        super().destroy_node()
 
     def _on_pose(self) -> None:
         """Answer the frames that waited for this pose."""

@@ -12,8 +12,10 @@ from obbhbb_ros.earth.quaternions import unit_quaternion
 from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.limits import Choices
 from obbhbb_ros.limits import Range
+from obbhbb_ros.reports.ship_message import MIN_MESSAGE_BYTES
 from obbhbb_ros.settings.common import COMMON_WITH_INPUT
 from obbhbb_ros.settings.common import IMAGE_SIZE
+from obbhbb_ros.settings.common import folder_of
 from obbhbb_ros.settings.detection_input import DETECTION_INPUT
 from obbhbb_ros.settings.detection_input import input_frame
 from obbhbb_ros.settings.parameters import Parameter
@@ -56,6 +58,26 @@ class PlaceSettings:
 
 
 @dataclass(frozen=True)
+class ReportSettings:
+    """
+    Ship lists.
+
+    Attributes
+    ----------
+    period : float
+        Seconds between two lists; 0: none.
+    max_bytes : int
+        Maximum size of a message; 0: lists are GeoJSON.
+    spool_path : str
+        Folder of the spool.
+    """
+
+    period: float
+    max_bytes: int
+    spool_path: str
+
+
+@dataclass(frozen=True)
 class TrackerSettings:
     """
     How detections get the ids of ships.
@@ -74,6 +96,8 @@ class TrackerSettings:
         Whether the angles of the input point to the bow.
     place : PlaceSettings or None
         How ships are placed on Earth; None if they are not.
+    reports : ReportSettings
+        How ships are listed.
     """
 
     keeps_ids: bool
@@ -82,12 +106,13 @@ class TrackerSettings:
     input_frame: InputFrame
     has_bow: bool
     place: PlaceSettings | None
+    reports: ReportSettings
 
 
 def _tracker_settings(values: Mapping[str, Any]) -> TrackerSettings:
     """Make settings for `ship_tracker`."""
     if values['pose_type'] == NO_POSE:
-        for name in ('min_length', 'max_length'):
+        for name in ('min_length', 'max_length', 'report_period'):
             if values[name]:
                 raise ValueError(f'{name} needs a pose of the camera: set pose_type')
     return TrackerSettings(
@@ -97,7 +122,21 @@ def _tracker_settings(values: Mapping[str, Any]) -> TrackerSettings:
         input_frame=input_frame(values),
         has_bow=values['heading'] == 'theta',
         place=None if values['pose_type'] == NO_POSE else _place_settings(values),
+        reports=_report_settings(values),
     )
+
+
+def _report_settings(values: Mapping[str, Any]) -> ReportSettings:
+    """Make settings for ship lists."""
+    period, max_bytes = values['report_period'], values['report_max_bytes']
+    spool = folder_of(values, 'spool.path')
+    if period and not spool:
+        raise ValueError('report_period needs spool.path: name the folder of the spool')
+    if 0 < max_bytes < MIN_MESSAGE_BYTES:
+        raise ValueError(
+            f'report_max_bytes must be 0 or at least {MIN_MESSAGE_BYTES}, not {max_bytes}'
+        )
+    return ReportSettings(period, max_bytes, spool)
 
 
 def _place_settings(values: Mapping[str, Any]) -> PlaceSettings:
@@ -199,6 +238,27 @@ SHIP_TRACKER = ParameterTable(
                 Range(0.0, 1e6),
             )
             for end, others in (('min', 'shorter'), ('max', 'longer'))
+        ),
+        Parameter(
+            'report_period',
+            0.0,
+            'Seconds between two ship lists, of the ships seen since the last. 0: none. Needs a '
+            'pose and `spool.path`.',
+            Range(0.0, 1e6),
+            read_only=True,
+        ),
+        Parameter(
+            'report_max_bytes',
+            0,
+            'Maximum size of a list, bytes: it is a binary message then, of the most valuable '
+            'ships; the rest goes in the next. 340: one short-burst message. 0: GeoJSON of all.',
+            Range(0, 1_000_000),
+        ),
+        Parameter(
+            'spool.path',
+            '',
+            'Folder of the spool of chip_extractor, for ship lists.',
+            read_only=True,
         ),
     ),
     _tracker_settings,

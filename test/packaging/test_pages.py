@@ -491,6 +491,6 @@ def test_a_key_of_the_diagnostics_that_is_explained_exists(node: str) -> None:
     assert len(keys) == len(set(keys)) > 15
     for key in keys:
         if not PLACEHOLDER.search(key):
-            # The books of a spool get their prefix all at once.
-            name = key.removesuffix('_per_second').removeprefix('spool.')
+            # The books of a spool and of its lists get their prefix all at once.
+            name = key.removesuffix('_per_second').removeprefix('spool.').removeprefix('lists.')
             assert re.search(rf"'{name}'|\b{name}=", SOURCES), key
