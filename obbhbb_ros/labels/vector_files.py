@@ -120,17 +120,28 @@ def write_features(
         warnings.filterwarnings('ignore', message=".*'crs' was not provided", category=UserWarning)
         warnings.filterwarnings('ignore', message='.*[Nn]ormalized/laundered field name')
         warnings.filterwarnings('ignore', message='.*longer than 10 characters')
-        try:
-            frame.to_file(whole, driver=driver, encoding='UTF-8', **empty, **options)
-            # A full disk may only show as missing features.
-            written = len(geopandas.read_file(whole, **_engine(path)))
-        except ImportError:
-            raise
-        except Exception as error:
-            # Any exception, as in `read_features`.
-            raise OSError(f'{path}: cannot be written: {error}') from error
-        if written != len(frame):
-            raise OSError(f'{path}: only {written} of {len(frame)} boxes were written')
+        save_frame(frame, whole, path, driver=driver, encoding='UTF-8', **empty, **options)
+
+
+def save_frame(frame: Any, whole: Path, path: Path, **options: Any) -> None:
+    """
+    Write a GeoDataFrame to a file that will be `path`, with options of `GeoDataFrame.to_file`.
+
+    Raises OSError if the file is not complete.
+    """
+    import geopandas
+
+    try:
+        frame.to_file(whole, **options)
+        # A full disk may only show as missing features.
+        written = len(geopandas.read_file(whole, **_engine(path)))
+    except ImportError:
+        raise
+    except Exception as error:
+        # Any exception, as in `read_features`.
+        raise OSError(f'{path}: cannot be written: {error}') from error
+    if written != len(frame):
+        raise OSError(f'{path}: only {written} of {len(frame)} features were written')
 
 
 def _columns(properties: Sequence[dict[str, Any]]) -> dict[str, Any]:

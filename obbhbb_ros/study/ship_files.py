@@ -27,6 +27,7 @@ import shapely
 from obbhbb_ros.files import replacing
 from obbhbb_ros.files import write_pieces
 from obbhbb_ros.files import write_text
+from obbhbb_ros.labels.vector_files import save_frame
 from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.study.progress import printable
 from obbhbb_ros.study.ship_rows import ShipRow
@@ -250,19 +251,8 @@ def _write_geopackage(path: Path, rows: Sequence[ShipRow]) -> None:
         if column.kind == 'time':
             frame[name] = frame[name].dt.tz_localize('UTC')
     with replacing(path) as whole:
-        try:
-            frame.to_file(
-                whole, driver='GPKG', layer='ships', engine='pyogrio', geometry_type='Point'
-            )
-            # A full disk may only show as missing features.
-            written = len(geopandas.read_file(whole, engine='pyogrio'))
-        except ImportError:
-            raise
-        except Exception as error:
-            # Any exception: those of GDAL are of many kinds.
-            raise OSError(f'{path}: cannot be written: {error}') from error
-        if written != len(rows):
-            raise OSError(f'{path}: only {written} of {len(rows)} ships were written')
+        options = {'engine': 'pyogrio', 'geometry_type': 'Point'}
+        save_frame(frame, whole, path, driver='GPKG', layer='ships', **options)
 
 
 def _naive(value: Any) -> Any:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field
 from dataclasses import replace
+from functools import reduce
 from itertools import product
 from pathlib import Path
 
@@ -18,6 +19,7 @@ import numpy as np
 
 from obbhbb_ros.earth.ellipsoid import to_ecef
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.reports.seen_ships import joined_reports
 from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.study.received import Received
 from obbhbb_ros.study.received import ReceivedChip
@@ -151,20 +153,9 @@ def chip_report(chip: ReceivedChip) -> ShipReport | None:
     )
 
 
-def _combined(reports: Sequence[ShipReport]) -> ShipReport:
-    """Take the best of each fact."""
-    placed = min(reports, key=_spread_order)
-    seen = max(reports, key=lambda report: -math.inf if report.score is None else report.score)
-    moving = max(reports, key=lambda report: (report.speed is not None, report.last))
-    return replace(
-        placed,
-        class_id=seen.class_id,
-        score=seen.score,
-        speed=moving.speed,
-        speed_sigma=moving.speed_sigma,
-        course_over_ground=moving.course_over_ground,
-        course_over_ground_sigma=moving.course_over_ground_sigma,
-    )
+def _combined(reports: Iterable[ShipReport]) -> ShipReport:
+    """Take the best of each fact, see `joined_reports`."""
+    return reduce(joined_reports, sorted(reports, key=lambda report: report.last))
 
 
 def _spread_order(report: ShipReport) -> tuple[float, int]:
@@ -227,20 +218,15 @@ def _are_apart(group: Sequence[ShipRow], row: ShipRow) -> bool:
 
 
 def _joined(group: Sequence[ShipRow]) -> ShipRow:
-    """Join rows; the first one is the best placed."""
-    facts = [row.facts for row in group]
-    spans = tuple(span for row in group for span in row.spans)
+    """Join rows."""
+    facts = _combined(row.facts for row in group)
+    ids = dict.fromkeys(row.facts.id for row in group)
     return ShipRow(
-        replace(
-            _combined(facts),
-            first=min(first for first, _ in spans),
-            last=max(last for _, last in spans),
-            views=sum(report.views for report in facts),
-        ),
+        facts,
         _best_view(row.best_view for row in group),
         tuple(dict.fromkeys(path for row in group for path in row.files)),
-        tuple(report.id for report in facts[1:] if report.id),
-        spans,
+        tuple(name for name in ids if name not in ('', facts.id)),
+        tuple(span for row in group for span in row.spans),
     )
 
 

@@ -27,7 +27,7 @@ def page(tmp_path_factory) -> Path:
 def test_marks_and_labels_lie_in_the_map_and_stand_out(page, visit, width, scheme) -> None:
     with visit(page, width, scheme) as visited:
         chart = visited.page.locator('.chart').bounding_box()
-        parts = visited.page.locator('.chart .mark, .chart span').all()
+        parts = visited.page.locator('.chart .mark, .chart span:visible').all()
         assert len(parts) > 12
         for part in parts:
             box = part.bounding_box()
@@ -35,7 +35,7 @@ def test_marks_and_labels_lie_in_the_map_and_stand_out(page, visit, width, schem
             assert box['x'] + box['width'] <= chart['x'] + chart['width']
             assert chart['y'] <= box['y']
             assert box['y'] + box['height'] <= chart['y'] + chart['height']
-        labels = [part.bounding_box() for part in visited.page.locator('.meridian').all()]
+        labels = [part.bounding_box() for part in visited.page.locator('.meridian:visible').all()]
         for left, right in pairwise(labels):
             assert left['x'] + left['width'] < right['x']
         colors = visited.page.locator('a.mark').first.evaluate(
