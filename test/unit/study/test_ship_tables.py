@@ -357,7 +357,7 @@ def test_kml_has_places_names_and_times(box, tmp_path) -> None:
     assert [str(time) for time in frame['begin']] == [str(time) for time in frame['end']]
     assert frame['begin'][1].isoformat() == '2025-11-27T23:16:42.250000+00:00'
     described = list(frame['description'])
-    assert described[1] == 'tug, 30 x 9 m, course 12°, 7.5 m/s, within 4.2 m'
+    assert described[1] == 'tug, 30 x 9 m, course 12°, 7.5 m/s towards 190°, within 4.2 m'
     # What viewers show as HTML.
     assert described[3].startswith('&lt;b&gt;"a"')
 
