@@ -110,7 +110,7 @@ def ship_map(ships: Sequence[ShipReport]) -> ShipMap:
     scale = np.array(_degree_lengths(float(middle[1])))
     places = (np.stack([longitudes, latitudes], axis=1) - middle) * scale
     halves = np.minimum([ship.length_m / 2.0 for ship in ships], _MAX_HALF_LENGTH)
-    spread = places.max(axis=0) - places.min(axis=0) + halves.max()
+    spread = places.max(axis=0) - places.min(axis=0) + 2.0 * halves.max()
     width = max(float(spread[0]), float(spread[1]) / _MAX_ASPECT, _MIN_EXTENT)
     height = max(float(spread[1]), _MIN_ASPECT * width)
     size = np.array([width, height]) / (1.0 - 2.0 * _MARGIN)

@@ -96,6 +96,15 @@ def test_a_hull_has_its_length_and_course() -> None:
     assert math.degrees(math.atan2(east, north)) == pytest.approx(60.0, abs=0.1)
 
 
+@pytest.mark.parametrize('course', [0.0, 90.0])
+@pytest.mark.parametrize('length', [80.0, 250.0, 400.0, 900.0])
+@pytest.mark.parametrize('step', [0.0, 0.003])
+def test_no_hull_is_cut_off(course, length, step) -> None:
+    places = [(36.1, -5.4), (36.1 + step, -5.4), (36.1, -5.4 + step)]
+    drawn = ship_map(at(*places, course=course, length_m=length))
+    assert ((np.array(drawn.hulls) > 0.0) & (np.array(drawn.hulls) < 100.0)).all()
+
+
 def test_each_card_tells_place_size_and_course_of_its_ship(tmp_path) -> None:
     put_chip(tmp_path / 'box', 'a', object='x-1')
     moving = {'speed': 7.5, 'course_over_ground': 190.0, 'sigma_m': (0.9, 0.5, 0.0)}
