@@ -79,8 +79,9 @@ def read_ship_geojson(content: bytes) -> list[ShipReport]:
     ShipListError
         If it is damaged, another file, or larger than `MAX_LIST_BYTES`.
     """
+    text = _unpacked(content)
     try:
-        document = json.loads(_unpacked(content).decode())
+        document = json.loads(text.decode())
     except (ValueError, RecursionError) as error:
         raise ShipListError(f'not JSON: {error}') from None
     features = document.get('features') if isinstance(document, dict) else None
