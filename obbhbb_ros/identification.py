@@ -200,7 +200,7 @@ class ShipIdentifier:
         classes = detections.class_ids()
         corners = boxes[rows].corners
         inside = (corners > 1.0) & (corners < np.array(image_size) - 1.0)
-        whole: NDArray[np.bool_] = np.asarray(inside.reshape(len(rows), -1).all(axis=1))
+        whole: NDArray[np.bool_] = np.asarray(inside.all(axis=(1, 2)))
         unlisted = self._collector.note(
             nanoseconds_of(detections.stamp),
             ids,

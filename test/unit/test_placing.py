@@ -438,3 +438,14 @@ def test_ships_with_a_place_are_noted_for_the_next_list() -> None:
     assert [ship.length_m for ship in ships] == pytest.approx(truth[3][:4], rel=0.01)
     assert [ship.course for ship in ships] == pytest.approx(truth[2][:4], abs=0.1)
     assert all(ship.first == 100_500_000_000 for ship in ships)
+
+
+def test_an_image_without_ships_adds_none_to_the_next_list() -> None:
+    collector = ShipCollector()
+    tracker = Tracker(known(pose_of(ORBIT)))
+    tracker.identifier = ShipIdentifier(known(pose_of(ORBIT)), collector)
+    none = OrientedBoxes.from_xywhr(np.empty((0, 5)))
+    _, tracked, positions, _ = tracker.answer(message_of(none), camera_of(ORBIT))
+    assert not tracked.ids()
+    assert not positions.ids
+    assert not collector.take()
