@@ -4,14 +4,8 @@
 from __future__ import annotations
 
 import itertools
-import os
-import signal
-import subprocess
-import sys
 import time
 from collections import Counter
-from collections.abc import Callable
-from collections.abc import Mapping
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -20,11 +14,8 @@ from typing import Any
 from typing import NamedTuple
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import CompressedImage
@@ -37,6 +28,7 @@ from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 from obbhbb_ros.labels import ImageLabels
+from obbhbb_ros.nodes.demo_chain import DemoChain
 from obbhbb_ros.nodes.play_detections import camera_info_message
 from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.nodes.play_detections import image_message
@@ -47,8 +39,6 @@ from obbhbb_ros.wire.stamp import nanoseconds_of
 OVERLAY_TOPIC = '/overlay/compressed'
 DIAGNOSTICS_TOPIC = '/diagnostics'
 
-# Three nodes take half a minute to start on a busy machine.
-_TIMEOUT = 60.0
 _AGAIN = 0.5
 # A busy machine may lose a message, and the frame of it is never complete.
 _SECONDS_TO_COMPLETE = 5.0
@@ -125,7 +115,7 @@ def boxes_by_method(labels: ImageLabels) -> dict[str, FloatArray]:
         ships = replace(labels, class_ids=(method,) * len(labels.class_ids))
         message.detections += detections_message(ships, message.header).detections
     answers: list[bytes] = []
-    with _Chain({'obb_to_hbb': arguments}) as chain:
+    with DemoChain({'obb_to_hbb': arguments}) as chain:
         chain.node.create_subscription(Detection2DArray, 'boxes', answers.append, 10, raw=True)
         publisher = chain.node.create_publisher(Detection2DArray, 'detections', 10)
         # Repeatedly, because client and node discover each other's topics one by one.
@@ -163,7 +153,7 @@ def record_chain(frames: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> lis
     """
     # On a busy machine, a picture with a shorter wait would miss layers.
     nodes = {'obb_to_hbb': [], 'chip_extractor': [], 'overlay': ['-p', 'max_wait:=60.0']}
-    with _Chain(nodes) as chain:
+    with DemoChain(nodes) as chain:
         camera = _Camera(chain.node)
         # Discovery takes a different time for every topic.
         _send_until_complete(chain, camera, frames[0], _AGAIN)
@@ -178,7 +168,7 @@ def record_chain(frames: Sequence[tuple[ImageLabels, NDArray[np.uint8]]]) -> lis
 
 
 def _send_until_complete(
-    chain: _Chain, camera: _Camera, image: tuple[ImageLabels, NDArray[np.uint8]], again: float
+    chain: DemoChain, camera: _Camera, image: tuple[ImageLabels, NDArray[np.uint8]], again: float
 ) -> None:
     """Send an image, and again after some seconds, until everything about one has arrived."""
     attempts: list[list[Recorded]] = []
@@ -262,77 +252,3 @@ class _Camera:
         statuses = deserialize_message(data, DiagnosticArray).status
         if all(status.name.startswith(f'{namespace}/') for status in statuses):
             self.reports.append(Recorded(DIAGNOSTICS_TOPIC, time.time_ns(), bytes(data)))
-
-
-class _Chain:
-    """
-    Nodes in separate processes, and a node that talks to them, for the time of a `with` block.
-
-    They have a namespace to themselves.
-
-    Parameters
-    ----------
-    nodes : mapping of str to sequence of str
-        Arguments after `--ros-args`, by executable.
-
-    Attributes
-    ----------
-    node : rclpy.node.Node
-        The node that talks to them.
-    """
-
-    def __init__(self, nodes: Mapping[str, Sequence[str]]) -> None:
-        self._namespace = f'/obbhbb_{os.getpid()}'
-        self._context = Context()
-        self._nodes = nodes
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
-
-    def __enter__(self) -> _Chain:
-        """Start the processes."""
-        rclpy.init(context=self._context)
-        self.node = rclpy.create_node('client', namespace=self._namespace, context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        for executable, arguments in self._nodes.items():
-            command = [sys.executable, '-m', 'obbhbb_ros.nodes', executable, '--ros-args']
-            # Until discovery is complete, warnings of missing messages are normal.
-            command += ['--log-level', 'error', '-r', f'__ns:={self._namespace}', *arguments]
-            self._processes[executable] = subprocess.Popen(command)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Stop the processes."""
-        for process in self._processes.values():
-            process.send_signal(signal.SIGINT)
-        for process in self._processes.values():
-            process.wait(_TIMEOUT)
-        self._executor.shutdown()
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
-
-    def spin_for(self, seconds: float) -> None:
-        """Receive messages for some time."""
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
-
-    def spin_until(
-        self,
-        condition: Callable[[], bool],
-        what: str,
-        send: Callable[[], object],
-        period: float = _AGAIN,
-    ) -> None:
-        """Receive, and send something repeatedly, until a condition holds; else TimeoutError."""
-        deadline, again = time.monotonic() + _TIMEOUT, 0.0
-        while not condition():
-            now = time.monotonic()
-            for name, process in self._processes.items():
-                if process.poll() is not None:
-                    raise ChildProcessError(f'{name} has ended')
-            if now > deadline:
-                raise TimeoutError(f'{", ".join(self._nodes)}: no {what} in {_TIMEOUT:g} s')
-            if now >= again:
-                send()
-                again = now + period
-            self._executor.spin_once(timeout_sec=0.05)
