@@ -191,24 +191,45 @@ def merged_within(rows: Sequence[ShipRow], distance: float) -> list[ShipRow]:
     list of ShipRow
         In the order of `ship_rows`.
     """
-    points = _points(rows)
-    cells: dict[tuple[int, int, int], list[int]] = {}
-    groups: dict[int, list[ShipRow]] = {}
+    groups = _Groups(rows, distance)
     for number in sorted(range(len(rows)), key=lambda number: _spread_order(rows[number].facts)):
-        row, point = rows[number], points[number]
-        x, y, z = np.floor(point / distance).astype(int).tolist()
-        near = [
-            other
-            for i, j, k in product((-1, 0, 1), repeat=3)
-            for other in cells.get((x + i, y + j, z + k), ())
-            if math.dist(points[other], point) <= distance and _are_apart(groups[other], row)
-        ]
-        if near:
-            groups[min(near, key=lambda other: math.dist(points[other], point))].append(row)
-        else:
-            groups[number] = [row]
-            cells.setdefault((x, y, z), []).append(number)
-    return sorted(map(_joined, groups.values()), key=_time_order)
+        groups.put(number)
+    return sorted(map(_joined, groups.members.values()), key=_time_order)
+
+
+class _Groups:
+    """Rows of one place, by the number of their first row; each is in a cell of space."""
+
+    def __init__(self, rows: Sequence[ShipRow], distance: float) -> None:
+        self.members: dict[int, list[ShipRow]] = {}
+        self._rows, self._distance, self._points = rows, distance, _points(rows)
+        self._cells: dict[tuple[int, int, int], list[int]] = {}
+        # First and last time, and whether a row may fit in between.
+        self._times = np.array([row.spans[0] for row in rows], float).reshape(-1, 2)
+        self._has_gaps = np.zeros(len(rows), bool)
+
+    def put(self, number: int) -> None:
+        """Put a row into the nearest group that may have it, or into a new one."""
+        x, y, z = np.floor(self._points[number] / self._distance).astype(int).tolist()
+        around = product((x - 1, x, x + 1), (y - 1, y, y + 1), (z - 1, z, z + 1))
+        for group in self._near(number, around):
+            if _are_apart(self.members[group], self._rows[number]):
+                self.members[group].append(self._rows[number])
+                begin, end = self._times[[group, number]].T
+                self._times[group] = begin.min(), end.max()
+                self._has_gaps[group] = True
+                return
+        self.members[number] = [self._rows[number]]
+        self._cells.setdefault((x, y, z), []).append(number)
+
+    def _near(self, number: int, cells: Iterable[tuple[int, int, int]]) -> list[int]:
+        """List the groups that may have a row, the nearest first."""
+        groups = np.array([group for cell in cells for group in self._cells.get(cell, ())], int)
+        away = np.linalg.norm(self._points[groups] - self._points[number], axis=1)
+        (first, last), (begin, end) = self._times[number], self._times[groups].T
+        may_join = (end < first) | (last < begin) | self._has_gaps[groups]
+        near = np.flatnonzero((away <= self._distance) & may_join)
+        return groups[near[np.argsort(away[near])]].tolist()
 
 
 def _are_apart(group: Sequence[ShipRow], row: ShipRow) -> bool:

@@ -3,6 +3,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -260,6 +261,21 @@ def test_chips_without_objects_are_joined_by_place(tmp_path) -> None:
         put_chip(tmp_path / 'box', name, seconds, value=0.5)
     assert len(table(tmp_path)) == 3
     assert [row['views'] for row in table(tmp_path, '--merge-within', '10')] == [2, 1]
+
+
+def test_many_ships_of_one_place_and_time_are_soon_told_apart(tmp_path) -> None:
+    ships = [report(f'x-{number}') for number in range(2000)]
+    put_list(tmp_path / 'box', 'l', *ships, report('late', 5.0))
+    assert len(table(tmp_path, '--merge-within', '20')) == 2000
+
+
+def test_a_gap_between_the_times_of_a_group_is_free_for_others(tmp_path) -> None:
+    ships = report('a', 0.0), report('b', 100.0), report('c', 50.0), report('d', 100.0)
+    sigmas = [(float(number + 1), 0.5, 0.0) for number in range(4)]
+    known = [replace(ship, sigma_m=sigma) for ship, sigma in zip(ships, sigmas, strict=True)]
+    put_list(tmp_path / 'box', 'l', *known)
+    rows = table(tmp_path, '--merge-within', '20')
+    assert [(row['id'], row['other_ids']) for row in rows] == [('a', 'b; c'), ('d', None)]
 
 
 @pytest.mark.parametrize(
