@@ -11,6 +11,8 @@ import pytest
 from outboxes import FIRST_STAMP
 from outboxes import a_chip
 from outboxes import put
+from spooled import Clock
+from spooled import feeder
 
 from obbhbb_ros.cli import main
 from obbhbb_ros.reports.ship_geojson import ship_geojson
@@ -18,6 +20,8 @@ from obbhbb_ros.reports.ship_list import LIST_KIND
 from obbhbb_ros.reports.ship_list import LIST_SUFFIXES
 from obbhbb_ros.reports.ship_message import ship_message
 from obbhbb_ros.reports.ship_report import ShipReport
+from obbhbb_ros.spool.feeder import ReleaseSettings
+from obbhbb_ros.spool.list_spool import ListSpool
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.study.ship_files import SHIP_COLUMNS
 from obbhbb_ros.study.ship_files import SHIP_FILES
@@ -160,6 +164,26 @@ def test_a_binary_message_is_read_without_its_json(tmp_path) -> None:
     assert (row['id'], row['class']) == ('x-7', 'tug')
     assert row['latitude'] == pytest.approx(36.1, abs=1e-5)
     assert row['length_m'] == pytest.approx(30.0, rel=0.01)
+
+
+@pytest.mark.parametrize('max_bytes', [0, 340])
+def test_the_lists_that_a_spool_releases_are_read(tmp_path, capsys, max_bytes) -> None:
+    lists = ListSpool(tmp_path / 'spool', print)
+    releasing = feeder(tmp_path, print, Clock(), ReleaseSettings())
+    for first in (0, 25):
+        ships = [report(f'09af31bc-{n}', n, views=2) for n in range(first, first + 30)]
+        lists.add(ships, max_bytes)
+        for _ in range(4):
+            releasing.step()
+    releasing.close()
+    lists.close()
+    rows = table(tmp_path, folders=('outbox',))
+    assert [row['id'] for row in rows] == [f'09af31bc-{number}' for number in range(55)]
+    # Five ships are in both lists.
+    assert [row['views'] for row in rows] == [2] * 25 + [4] * 5 + [2] * 25
+    said = capsys.readouterr()
+    assert f'ships: 55, of {4 if max_bytes else 2} ship lists and 0 chips\n' in said.out
+    assert 'obbhbb: ' not in said.err
 
 
 def test_what_came_down_twice_counts_once(tmp_path) -> None:
