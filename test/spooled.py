@@ -10,10 +10,12 @@ from collections.abc import Iterator
 from collections.abc import Sequence
 from contextlib import closing
 from contextlib import contextmanager
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.spool.catalogue import catalogue_files
 from obbhbb_ros.spool.chip_rows import NewChip
 from obbhbb_ros.spool.console import SpoolConsole
@@ -121,6 +123,29 @@ def cameras_in_outbox(folder: Path) -> dict[str, dict[str, Any]]:
     return _pairs_in_outbox(folder, 'camera', '.camera')
 
 
+def lists_in_outbox(folder: Path) -> dict[str, dict[str, Any]]:
+    """Read the JSON files of ship lists in an outbox, likewise."""
+    return _pairs_in_outbox(folder, 'ships', '.geojson.gz')
+
+
+def ship_report(number: int, **changes: Any) -> ShipReport:
+    """Make up a ship of a list."""
+    made = ShipReport(
+        id=f'09af31bc-{number}',
+        latitude=36.0 + 0.001 * number,
+        longitude=-5.4,
+        course=number % 180,
+        course_ambiguous=True,
+        length_m=30.0 + number,
+        width_m=9.0,
+        class_id='ship',
+        score=0.01 * (number % 100),
+        first=number * 10**9,
+        last=number * 10**9,
+    )
+    return replace(made, **changes)
+
+
 def _pairs_in_outbox(folder: Path, kind: str | None, suffix: str) -> dict[str, dict[str, Any]]:
     """Read the JSON files of a kind, by id."""
     visible = {path for path in folder.glob('*/*') if not path.name.startswith('.')}
@@ -138,7 +163,7 @@ def _pairs_in_outbox(folder: Path, kind: str | None, suffix: str) -> dict[str, d
             assert described['bytes'] == len(data)
             assert described['sha256'] == sha256(data).hexdigest()
             descriptions[path.stem] = described
-    names = {path.stem for path in visible if path.suffix == suffix}
+    names = {path.name.partition('.')[0] for path in visible if path.name.endswith(suffix)}
     assert names == set(descriptions), 'a file without JSON'
     return descriptions
 

@@ -5,7 +5,6 @@ import json
 import shutil
 import sqlite3
 from contextlib import closing
-from dataclasses import replace
 from hashlib import sha256
 
 import pytest
@@ -15,12 +14,12 @@ from hypothesis import strategies as st
 from spooled import Clock
 from spooled import feeder
 from spooled import in_outbox
+from spooled import ship_report
 from spooled import store
 
 from obbhbb_ros.downlink.budget import BudgetSettings
 from obbhbb_ros.reports import seen_ships
 from obbhbb_ros.reports.ship_list import read_ship_list
-from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.spool import list_spool
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.catalogue import catalogue_files
@@ -33,24 +32,6 @@ from obbhbb_ros.spool.writer import SpoolWriter
 
 FREE = ReleaseSettings()
 REMOVAL = ReleaseSettings(removal=True)
-
-
-def ship(number, **changes):
-    """Make up a ship."""
-    made = ShipReport(
-        id=f'09af31bc-{number}',
-        latitude=36.0 + 0.001 * number,
-        longitude=-5.4,
-        course=number % 180,
-        course_ambiguous=True,
-        length_m=30.0 + number,
-        width_m=9.0,
-        class_id='ship',
-        score=0.01 * (number % 100),
-        first=number * 10**9,
-        last=number * 10**9,
-    )
-    return replace(made, **changes)
 
 
 def numbers(ships):
@@ -124,7 +105,7 @@ def chain(tmp_path):
 
 def test_a_list_goes_before_any_chip(chain):
     store(chain.writer, [0.9] * 20)
-    chain.lists.add([ship(1), ship(2)])
+    chain.lists.add([ship_report(1), ship_report(2)])
     chain.feeder.step()
     assert in_outbox(chain.folder / 'outbox') == {}
     assert chain.bus() == [1, 2]
@@ -134,8 +115,8 @@ def test_a_list_goes_before_any_chip(chain):
 
 
 def test_at_most_one_list_waits_and_the_next_takes_its_ships_over(chain):
-    chain.lists.add([ship(1), ship(2)])
-    chain.lists.add([ship(2, first=5, last=10**10, views=3), ship(3)])
+    chain.lists.add([ship_report(1), ship_report(2)])
+    chain.lists.add([ship_report(2, first=5, last=10**10, views=3), ship_report(3)])
     assert chain.status().ships_waiting == 3
     chain.steps()
     assert chain.bus() == [1, 2, 3]
@@ -151,7 +132,7 @@ def test_a_list_larger_than_the_link_carries_at_once_goes_in_parts(tmp_path):
     budget = BudgetSettings(bytes_per_second=1000.0, burst=1500.0, overhead=50)
     chain = Chain(tmp_path, ReleaseSettings(budget=budget))
     store(chain.writer, [0.9])
-    chain.lists.add([ship(number) for number in range(100)])
+    chain.lists.add([ship_report(number) for number in range(100)])
     chain.steps(1)
     first = chain.bus()
     assert 0 < len(first) < 60
@@ -167,7 +148,7 @@ def test_a_list_larger_than_the_link_carries_at_once_goes_in_parts(tmp_path):
 
 
 def test_messages_hold_what_fits_and_the_rest_goes_in_the_next(chain):
-    chain.lists.add([ship(number) for number in range(50)], max_bytes=340)
+    chain.lists.add([ship_report(number) for number in range(50)], max_bytes=340)
     chain.steps(5)
     assert sorted(chain.bus()) == list(range(50))
     assert [len(ships) for ships in chain.down.values()] == [19, 19, 12]
@@ -178,15 +159,15 @@ def test_lists_wait_for_budget_and_contact(tmp_path):
     chain = Chain(tmp_path, ReleaseSettings(budget=budget))
     store(chain.writer, [0.9])
     chain.feeder.steer(chain.settings, is_contact=False)
-    chain.lists.add([ship(1)])
+    chain.lists.add([ship_report(1)])
     chain.steps()
     assert chain.bus() == []
     chain.feeder.steer(chain.settings, is_contact=True)
     chain.steps(1, seconds=0.0)
     assert chain.bus() == [1]
-    chain.lists.add([ship(number) for number in range(2, 40)])
+    chain.lists.add([ship_report(number) for number in range(2, 40)])
     chain.steps(1, seconds=0.0)
-    chain.lists.add([ship(40)])
+    chain.lists.add([ship_report(40)])
     chain.steps(1, seconds=20.0)
     assert chain.feeder.stalled_by == 'link budget'
     assert in_outbox(chain.folder / 'outbox') == {}
@@ -198,7 +179,7 @@ def test_lists_wait_for_budget_and_contact(tmp_path):
 def test_a_ship_that_the_link_cannot_carry_is_reported_and_chips_go_on(tmp_path):
     chain = Chain(tmp_path, ReleaseSettings(budget=BudgetSettings(1000.0, burst=700.0)))
     store(chain.writer, [0.9], size=100)
-    chain.lists.add([ship(1, class_id=str(list(range(700))))])
+    chain.lists.add([ship_report(1, class_id=str(list(range(700))))])
     chain.steps(4)
     assert len(in_outbox(chain.folder / 'outbox')) == 1
     assert any('budget.burst' in text for text in chain.troubles)
@@ -208,7 +189,7 @@ def test_a_ship_that_the_link_cannot_carry_is_reported_and_chips_go_on(tmp_path)
 
 def test_lists_are_delivered_when_the_bus_has_taken_them(tmp_path):
     chain = Chain(tmp_path, REMOVAL)
-    chain.lists.add([ship(1)])
+    chain.lists.add([ship_report(1)])
     chain.steps()
     status = chain.status()
     assert status.in_outbox == 1
@@ -222,7 +203,7 @@ def test_lists_are_delivered_when_the_bus_has_taken_them(tmp_path):
 
 def test_lists_in_a_lost_outbox_are_counted(tmp_path):
     chain = Chain(tmp_path, REMOVAL)
-    chain.lists.add([ship(1)])
+    chain.lists.add([ship_report(1)])
     chain.steps()
     shutil.rmtree(tmp_path / 'outbox')
     (tmp_path / 'outbox').mkdir()
@@ -234,8 +215,8 @@ def test_lists_in_a_lost_outbox_are_counted(tmp_path):
 
 def test_too_many_ships_are_dropped_the_least_valuable_first(chain, monkeypatch):
     monkeypatch.setattr(list_spool, 'MAX_SHIPS', 10)
-    chain.lists.add([ship(number) for number in range(8)])
-    chain.lists.add([ship(number) for number in range(8, 16)])
+    chain.lists.add([ship_report(number) for number in range(8)])
+    chain.lists.add([ship_report(number) for number in range(8, 16)])
     chain.steps()
     assert chain.bus() == list(range(6, 16))
     assert chain.status().counts['ships_dropped'] == 6
@@ -260,10 +241,10 @@ def change_rows(folder, statement):
     ],
 )
 def test_a_damaged_list_is_counted_and_said(chain, statement):
-    chain.lists.add([ship(1), ship(2)])
+    chain.lists.add([ship_report(1), ship_report(2)])
     change_rows(chain.folder, statement)
     chain.steps()
-    chain.lists.add([ship(3)])
+    chain.lists.add([ship_report(3)])
     chain.steps()
     status = chain.status()
     damaged = status.counts.get('ships_damaged', 0)
@@ -273,14 +254,14 @@ def test_a_damaged_list_is_counted_and_said(chain, statement):
 
 
 def test_a_damaged_catalogue_is_set_aside_and_chips_go_on(chain):
-    chain.lists.add([ship(1)])
+    chain.lists.add([ship_report(1)])
     store(chain.writer, [0.9])
     chain.lists.close()
     (path,) = catalogue_files(chain.folder / 'spool' / FOLDER)
     path.write_bytes(b'\xff' * path.stat().st_size)
     chain.steps(5)
     assert len(in_outbox(chain.folder / 'outbox')) == 1
-    chain.lists.add([ship(2)])
+    chain.lists.add([ship_report(2)])
     chain.steps(5)
     assert chain.bus() == [2]
     assert chain.status().set_aside == 1
@@ -288,9 +269,9 @@ def test_a_damaged_catalogue_is_set_aside_and_chips_go_on(chain):
 
 
 def test_a_deleted_folder_of_lists_is_replaced(chain):
-    chain.lists.add([ship(1)])
+    chain.lists.add([ship_report(1)])
     shutil.rmtree(chain.folder / 'spool' / FOLDER)
-    chain.lists.add([ship(2)])
+    chain.lists.add([ship_report(2)])
     chain.steps(5)
     assert chain.bus() == [2]
     assert any('deleted' in text for text in chain.troubles)
@@ -300,7 +281,7 @@ def test_lists_that_cannot_be_stored_raise_an_error_and_chips_go_on(chain):
     (chain.folder / 'spool').mkdir()
     (chain.folder / 'spool' / FOLDER).write_text('in the way', encoding='utf-8')
     with pytest.raises(SpoolError):
-        chain.lists.add([ship(1)])
+        chain.lists.add([ship_report(1)])
     store(chain.writer, [0.9])
     chain.steps()
     assert len(in_outbox(chain.folder / 'outbox')) == 1
@@ -317,7 +298,7 @@ def test_an_interruption_between_list_and_release_loses_nothing(
     tmp_path, monkeypatch, settings, step, is_before
 ):
     chain = Chain(tmp_path, settings)
-    chain.lists.add([ship(1), ship(2)])
+    chain.lists.add([ship_report(1), ship_report(2)])
     owner = list_spool.ListSpool if step in ('claim', 'released') else Outbox
     original = getattr(owner, step)
 
@@ -330,7 +311,7 @@ def test_an_interruption_between_list_and_release_loses_nothing(
         patch.setattr(owner, step, interrupted)
         chain.steps(1)
     chain.restart()
-    chain.lists.add([ship(3)])
+    chain.lists.add([ship_report(3)])
     chain.steps(4)
     assert sorted(chain.bus()) == [1, 2, 3]
     chain.steps(2)
@@ -359,7 +340,7 @@ def test_every_ship_comes_down_whatever_the_order(tmp_path_factory, actions, rem
     views = 0
     for name, value in actions:
         if name == 'add':
-            chain.lists.add([ship(number) for number in value])
+            chain.lists.add([ship_report(number) for number in value])
             views += len(value)
         elif name == 'step':
             chain.steps(value)
