@@ -172,6 +172,7 @@ def test_nodes_in_one_process_have_their_own_parameters_and_topics(tmp_path: Pat
     assert (values['obb_to_hbb']['q'], values['obb_to_hbb']['crop.padding']) == (math.inf, 0.25)
     assert values['obb_to_hbb']['s'] == 1.0
     assert values['downlink']['spool.path'] == values['chip_extractor']['spool.path']
+    assert values['ship_tracker']['spool.path'] == values['chip_extractor']['spool.path']
     assert 'spool.path' not in values['obb_to_hbb']
     assert {name: values[name]['state.path'] for name in nodes} == {
         name: f'/data/state/sat/{name}.json' for name in nodes
