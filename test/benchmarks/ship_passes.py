@@ -34,6 +34,8 @@ from seas import Sea
 from seas import frames
 
 from obbhbb_ros.downlink.budget import BudgetSettings
+from obbhbb_ros.reports.ship_list import LIST_KIND
+from obbhbb_ros.reports.ship_list import LIST_SUFFIXES
 from obbhbb_ros.spool.chip_rows import NewChip
 from obbhbb_ros.spool.feeder import OutboxFeeder
 from obbhbb_ros.spool.feeder import ReleaseSettings
@@ -73,7 +75,8 @@ def strip(seed: int) -> list[Seen]:
     for every in frames(Sea(ships=SHIPS + ROCKS, berthed=0.4, false_alarms=0.03), seed):
         is_rock = every.truth >= SHIPS
         kept = np.flatnonzero(~is_rock | (random.random(len(is_rock)) < ROCK_SEEN))
-        frame = Frame(every.time, *(column[kept] for column in every[1:]))
+        columns = (column[kept] for column in every[1:-1])
+        frame = Frame(every.time, *columns, every.view)
         nothing = frame.truth == FALSE_ALARM
         mean = np.where(nothing, random.beta(2, 4, len(kept)), liking[frame.truth])
         score = mean * np.sqrt(frame.share) + random.normal(0.0, 0.08, len(kept))
@@ -210,8 +213,8 @@ def chips_of(
     return chips
 
 
-def fly(seen: list[Seen], way: Way, rate: float, folder: Path) -> Delivered:
-    """Store the chips of a strip, release them in a contact, and see what came down."""
+def store_strip(seen: list[Seen], way: Way, folder: Path) -> None:
+    """Store the chips of a strip in the spool of a folder."""
     with closing(SpoolWriter(folder / 'spool', _fail)) as writer:
         writer.set_fade(FADE)
         objects, count, sightings = ObjectIds(), 0, Counter[str]()
@@ -222,6 +225,19 @@ def fly(seen: list[Seen], way: Way, rate: float, folder: Path) -> Delivered:
             chips = chips_of(frame, objects.name(ids, frame.frame.time), way, count, factors)
             writer.store(writer.plan(len(chips)), chips, {}, SPOOL)
             count += len(chips)
+
+
+class Down(NamedTuple):
+    """What came down: the things on the chips, the bytes of chips, files of lists, their bytes."""
+
+    things: list[int]
+    chip_bytes: int
+    lists: list[bytes]
+    list_bytes: int
+
+
+def release(folder: Path, rate: float) -> Down:
+    """Release in a contact what the spool of a folder holds."""
     outbox = folder / 'outbox'
     outbox.mkdir()
     clock, settings = Clock(), ReleaseSettings(BudgetSettings(rate, burst=BURST))
@@ -229,7 +245,8 @@ def fly(seen: list[Seen], way: Way, rate: float, folder: Path) -> Delivered:
         SpoolReleaser(folder / 'spool', _fail), Outbox(outbox), settings, _fail, clock
     )
     things: list[int] = []
-    bytes_down = 0
+    lists: list[bytes] = []
+    chip_bytes = list_bytes = 0
     with closing(feeder):
         feeder.steer(settings, True)
         while clock.now < CONTACT:
@@ -237,14 +254,39 @@ def fly(seen: list[Seen], way: Way, rate: float, folder: Path) -> Delivered:
                 clock.now += 1.0
                 continue
             for file in outbox.glob('*/*.json'):
-                things += json.loads(file.read_bytes())['detection_ids']
-                for part in (file, file.with_suffix('.jpg')):
-                    bytes_down += part.stat().st_size
-                    part.unlink()
+                described = json.loads(file.read_bytes())
+                if described.get('kind') == LIST_KIND:
+                    content = file.with_suffix(f'.{LIST_SUFFIXES[described["format"]]}')
+                    lists.append(content.read_bytes())
+                    list_bytes += _taken(file, content)
+                else:
+                    things += described['detection_ids']
+                    chip_bytes += _taken(file, file.with_suffix('.jpg'))
+    return Down(things, chip_bytes, lists, list_bytes)
+
+
+def _taken(*files: Path) -> int:
+    """Take files as a bus does; return their bytes."""
+    size = sum(file.stat().st_size for file in files)
+    for file in files:
+        file.unlink()
+    return size
+
+
+def fly(seen: list[Seen], way: Way, rate: float, folder: Path) -> Delivered:
+    """Store the chips of a strip, release them in a contact, and see what came down."""
+    store_strip(seen, way, folder)
+    things, chip_bytes, _, _ = release(folder, rate)
     is_ship = np.isin(things, range(SHIPS))
-    there = len({thing for frame in seen for thing in frame.thing.tolist() if 0 <= thing < SHIPS})
     ships = len({thing for thing in things if 0 <= thing < SHIPS})
-    return Delivered(ships / there, 1.0 - is_ship.mean(), len(things), bytes_down / 1e6)
+    return Delivered(
+        ships / len(ships_in(seen)), 1.0 - is_ship.mean(), len(things), chip_bytes / 1e6
+    )
+
+
+def ships_in(seen: list[Seen]) -> set[int]:
+    """Return the ships that a strip shows."""
+    return {thing for frame in seen for thing in frame.thing.tolist() if 0 <= thing < SHIPS}
 
 
 def _fail(trouble: str) -> None:
