@@ -96,8 +96,31 @@ def test_every_file_that_the_tour_names_is_there(printed: str, checkout: Path) -
 
 
 def test_the_demo_prints_where_everything_is(printed: str) -> None:
-    for path in ('harbour.png', 'overlay.jpg', 'frames', 'harbour_bag'):
+    for path in ('harbour.png', 'overlay.jpg', 'frames', 'harbour_bag', 'pass'):
         assert re.search(rf'^\w+: +out/{path}\b', printed, re.MULTILINE), path
+
+
+def test_of_a_pass_every_ship_comes_down_with_its_place(printed: str) -> None:
+    chips, ships, chips_down, ships_down = map(
+        int, re.findall(r'(\d+) (?:chips|ships)', flown(printed))
+    )
+    # A busy machine may lose an image.
+    assert ships >= 30
+    assert chips > 4 * ships
+    assert ships_down == ships <= chips_down < chips / 4
+    placed = re.search(
+        r'^ships: (\d+), of (\d+) ship lists and (\d+) chips$', printed, re.MULTILINE
+    )
+    assert placed
+    assert int(placed[1]) >= ships
+    assert int(placed[2]) >= 1
+    assert int(placed[3]) == chips_down
+
+
+def flown(printed: str) -> str:
+    """Find the line of the demo about its pass."""
+    (line,) = (line for line in printed.splitlines() if line.startswith('pass: '))
+    return line
 
 
 def test_a_smaller_q_shows_more_of_the_crop_regions(printed: str, checkout: Path) -> None:
