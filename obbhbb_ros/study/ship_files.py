@@ -24,6 +24,8 @@ from xml.sax.saxutils import escape
 import numpy as np
 import shapely
 
+from obbhbb_ros.files import SMALL_BYTES
+from obbhbb_ros.files import read_bounded
 from obbhbb_ros.files import replacing
 from obbhbb_ros.files import write_pieces
 from obbhbb_ros.files import write_text
@@ -39,7 +41,7 @@ _SEPARATOR = '; '
 _WKT = (
     'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563,'
     'AUTHORITY["EPSG","7030"]],AUTHORITY["EPSG","6326"]],PRIMEM["Greenwich",0],'
-    'UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
+    'UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]\n'
 )
 
 
@@ -175,6 +177,9 @@ _CSVT = {
 
 
 def _write_csv(path: Path, rows: Sequence[ShipRow]) -> None:
+    system = path.with_suffix('.prj')
+    if system.exists() and read_bounded(system, SMALL_BYTES) != _WKT.encode():
+        raise ValueError(f'{system} belongs to another file: choose another name than {path.name}')
     text = io.StringIO()
     table = csv.writer(text, lineterminator='\n')
     table.writerow(SHIP_COLUMNS)
@@ -184,7 +189,7 @@ def _write_csv(path: Path, rows: Sequence[ShipRow]) -> None:
         places = {'latitude': 'CoordY', 'longitude': 'CoordX'}
         kinds = (places.get(name, _CSVT[column.kind]) for name, column in SHIP_COLUMNS.items())
         write_text(path.with_suffix('.csvt'), ','.join(f'"{kind}"' for kind in kinds) + '\n')
-        write_text(path.with_suffix('.prj'), _WKT + '\n')
+        write_text(system, _WKT)
 
 
 def _cell(column: ShipColumn, row: ShipRow) -> object:

@@ -409,6 +409,15 @@ def test_a_table_of_text_has_a_head_and_one_line_a_ship(box) -> None:
     assert len(rows) == 4
 
 
+def test_the_reference_system_of_another_file_is_not_replaced(box, capsys) -> None:
+    written(box, '.csv')
+    written(box, '.csv')
+    (box.parent / 'ships.prj').write_text('PROJCS["UTM"]')
+    assert main(['ships', str(box), '-o', str(box.parent / 'ships.csv')]) == 1
+    assert 'ships.prj belongs to another file: choose another name' in capsys.readouterr().err
+    assert (box.parent / 'ships.prj').read_text() == 'PROJCS["UTM"]'
+
+
 @pytest.mark.parametrize('suffix', SHIP_FILES)
 def test_a_table_without_ships_is_written_if_none_meets_the_conditions(box, suffix) -> None:
     for module in ('geopandas', 'pyogrio', 'pyarrow'):
