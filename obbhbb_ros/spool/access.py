@@ -6,6 +6,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,6 +16,21 @@ from obbhbb_ros.spool.books import number
 from obbhbb_ros.spool.catalogue import Catalogue
 from obbhbb_ros.spool.order import last_in_order
 from obbhbb_ros.spool.schema import SCHEMA
+
+
+@contextmanager
+def booking(
+    catalogue: Catalogue, on_trouble: Callable[[str], object]
+) -> Iterator[tuple[sqlite3.Cursor, Books]]:
+    """Run a `with` block as one transaction that may change a catalogue and its books."""
+
+    def report_restored() -> None:
+        on_trouble(f'{catalogue.folder}: damaged books are restored from their copy')
+
+    with catalogue.transaction(write=True) as rows:
+        books = Books.read(rows, report_restored)
+        yield rows, books
+        books.write(rows)
 
 
 class SpoolAccess:
@@ -68,17 +84,9 @@ class SpoolAccess:
         """Close the catalogue and release the locks; the next call opens it again."""
         self._catalogue.close()
 
-    @contextmanager
-    def _booking(self) -> Iterator[tuple[sqlite3.Cursor, Books]]:
+    def _booking(self) -> AbstractContextManager[tuple[sqlite3.Cursor, Books]]:
         """Run a `with` block as one transaction that may change chips and books."""
-        with self._catalogue.transaction(write=True) as rows:
-            books = Books.read(rows, self._report_restored)
-            yield rows, books
-            books.write(rows)
-
-    def _report_restored(self) -> None:
-        """Report that damage to the books was made good."""
-        self._on_trouble(f'{self.folder}: damaged books are restored from their copy')
+        return booking(self._catalogue, self._on_trouble)
 
     def _on_open(self, rows: sqlite3.Cursor) -> None:
         """Prepare a catalogue that has just been opened."""

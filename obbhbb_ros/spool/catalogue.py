@@ -98,6 +98,8 @@ class Catalogue:
 
     Attributes
     ----------
+    folder : Path
+        The folder.
     tag : str
         Six hexadecimal digits that identify the database in use.
     """
@@ -110,7 +112,7 @@ class Catalogue:
         on_open: Callable[[sqlite3.Cursor], object],
         patience: float,
     ) -> None:
-        self._folder = folder
+        self.folder = folder
         self._patience = self._wait = patience
         self._schema = schema
         self._on_trouble, self._on_open = on_trouble, on_open
@@ -124,7 +126,7 @@ class Catalogue:
     @property
     def set_aside(self) -> int:
         """Number of damaged databases in the folder."""
-        return len(list(self._folder.glob(f'*{DAMAGED}')))
+        return len(list(self.folder.glob(f'*{DAMAGED}')))
 
     @contextmanager
     def transaction(self, write: bool = False) -> Iterator[sqlite3.Cursor]:
@@ -164,7 +166,7 @@ class Catalogue:
 
     def lock(self, name: str) -> bool:
         """Lock a name until the database is closed; False if another process holds the lock."""
-        lock = _locked(self._folder / f'{name}.lock')
+        lock = _locked(self.folder / f'{name}.lock')
         if lock is not None:
             self._locks.append(lock)
         return lock is not None
@@ -223,11 +225,11 @@ class Catalogue:
 
     def _open(self) -> sqlite3.Connection:
         """Open the database in use, or a new one."""
-        if not self._folder.exists():
-            self._folder.mkdir(parents=True, exist_ok=True)
-            sync_folder(self._folder.parent)
-        with _exclusive(self._folder / _OPENING, self._wait):
-            in_use = list(filter(is_in_use, catalogue_files(self._folder)))
+        if not self.folder.exists():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            sync_folder(self.folder.parent)
+        with _exclusive(self.folder / _OPENING, self._wait):
+            in_use = list(filter(is_in_use, catalogue_files(self.folder)))
             self._path = in_use[-1] if in_use else self._new_path()
             try:
                 return self._connect()
@@ -265,7 +267,7 @@ class Catalogue:
             database.executescript(
                 f'BEGIN IMMEDIATE; {self._schema.script} PRAGMA user_version = {due}; COMMIT'
             )
-            sync_folder(self._folder)
+            sync_folder(self.folder)
         elif version == due - 1:
             self._migrate(database)
         elif version != due:
@@ -278,7 +280,7 @@ class Catalogue:
     def _migrate(self, database: sqlite3.Connection) -> None:
         """Bring a database to the version in use, while no process uses it in any role."""
         with ExitStack() as locks:
-            for path in self._folder.glob('*.lock'):
+            for path in self.folder.glob('*.lock'):
                 if path.name == _OPENING:
                     continue
                 lock = _locked(path)
@@ -302,7 +304,7 @@ class Catalogue:
         elif isinstance(error, sqlite3.OperationalError) and 'locked' in str(error):
             # Another process holds the lock.
             self._set_wait(_IMPATIENCE)
-        return SpoolError(f'{self._folder}: {error}')
+        return SpoolError(f'{self.folder}: {error}')
 
     def _is_damage(self, error: Exception) -> bool:
         """Return whether an error means a damaged file, rather than a disk or another process."""
@@ -312,7 +314,7 @@ class Catalogue:
 
     def _is_refused(self) -> bool:
         """Return whether SQLite does not write a file that may be written: by its header."""
-        if not all(os.access(path, os.W_OK) for path in (self._path, self._folder)):
+        if not all(os.access(path, os.W_OK) for path in (self._path, self.folder)):
             return False
         # Another connection: the one in use may be older than the right to write.
         with closing(sqlite3.connect(self._path, self._wait, isolation_level=None)) as database:
@@ -378,9 +380,9 @@ class Catalogue:
 
     def _new_path(self) -> Path:
         """Return a name that no database had."""
-        number = max(map(_number, catalogue_files(self._folder)), default=0)
+        number = max(map(_number, catalogue_files(self.folder)), default=0)
         name = f'{self._schema.content}_{number + 1:04d}_{secrets.token_hex(3)}.sqlite3'
-        return self._folder / name
+        return self.folder / name
 
 
 def catalogue_files(folder: Path) -> list[Path]:

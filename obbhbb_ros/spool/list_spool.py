@@ -16,10 +16,9 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable
 from collections.abc import Collection
-from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +30,7 @@ from obbhbb_ros.reports.ship_message import MIN_MESSAGE_BYTES
 from obbhbb_ros.reports.ship_message import ship_message
 from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.reports.ship_report import most_valuable
+from obbhbb_ros.spool.access import booking
 from obbhbb_ros.spool.books import Books
 from obbhbb_ros.spool.catalogue import Catalogue
 from obbhbb_ros.spool.catalogue import CatalogueSchema
@@ -272,17 +272,9 @@ class ListSpool:
         """Close the catalogue; the next call opens it again."""
         self._catalogue.close()
 
-    @contextmanager
-    def _booking(self) -> Iterator[tuple[sqlite3.Cursor, Books]]:
+    def _booking(self) -> AbstractContextManager[tuple[sqlite3.Cursor, Books]]:
         """Run a `with` block as one transaction that may change lists and books."""
-        with self._catalogue.transaction(write=True) as rows:
-            books = Books.read(rows, self._report_restored)
-            yield rows, books
-            books.write(rows)
-
-    def _report_restored(self) -> None:
-        """Report that damage to the books was made good."""
-        self._on_trouble(f'{self._folder}: damaged books are restored from their copy')
+        return booking(self._catalogue, self._on_trouble)
 
     def _rows(self, rows: sqlite3.Cursor, state: int) -> list[StoredList]:
         """Read the lists in a state, the oldest first."""
