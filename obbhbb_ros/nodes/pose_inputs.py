@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -73,6 +75,11 @@ class PoseInputs(Part):
     def configure(self) -> None:
         """Forget the poses of earlier runs."""
         self.poses.clear()
+        self._last = -math.inf
+
+    def age(self) -> float:
+        """Return the seconds since the last pose came."""
+        return time.monotonic() - self._last
 
     def _input(self, kind: Any, topic: str, add: Callable[[bytes], object]) -> None:
         """Subscribe to a topic of poses."""
@@ -88,5 +95,6 @@ class PoseInputs(Part):
             name = self._node.resolve_topic_name(topic)
             self._node.reporter.warn(f'refused {topic}', f'{name}: a pose was refused: {error}')
         else:
+            self._last = time.monotonic()
             self._node.monitor.add(f'poses_received.{topic}')
         self._on_pose()

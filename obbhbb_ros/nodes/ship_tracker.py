@@ -34,6 +34,9 @@ TRACKED = 'tracked_detections'
 
 # A pose may come so much later than an image of its time, seconds.
 _TRANSPORT = 0.5
+# A message that was lost beside large images is sent again so much later, seconds; those behind it
+# wait for it.
+_RESENT = 4.0
 # Seconds between two looks at the frames that wait for their pose.
 _PERIOD = 0.1
 
@@ -107,16 +110,16 @@ class ShipTracker(ManagedNode[TrackerSettings]):
         self._detections.catch_up()
 
     def _is_pose_coming(self, stamp: Stamp) -> bool:
-        """Return whether the pose of an image is not complete yet."""
+        """Return whether the pose of an image is not complete yet, and poses are coming."""
         place = self.parameters.settings.place
-        if self._poses is None or place is None:
+        if self._poses is None or place is None or self._poses.age() > self._pose_patience():
             return False
         return not self._poses.poses.has_reached(later(stamp, place.readout))
 
     def _pose_patience(self) -> float:
         """Return for how long a frame waits for its pose, seconds."""
         place = self.parameters.settings.place
-        return 0.0 if place is None else place.pose_max_age + _TRANSPORT
+        return 0.0 if place is None else max(_RESENT, place.pose_max_age + _TRANSPORT)
 
     def _facts(self) -> dict[str, str]:
         """Report the session of the ids, and how many ships are remembered."""

@@ -205,8 +205,7 @@ SHIP_TRACKER = ParameterTable(
         Parameter(
             'pose_max_age',
             1.0,
-            'How far from an image the poses before and after it may be, seconds. A frame waits '
-            'half a second longer for its pose at most.',
+            'How far from an image the poses before and after it may be, seconds.',
             Range(0.0, 60.0),
         ),
         Parameter(

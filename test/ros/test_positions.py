@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -274,6 +275,19 @@ def test_an_image_without_a_pose_goes_on_after_a_time_and_the_reason_is_said(
     assert all(one.id for one in tracked.detections)
     node.wait(lambda: node.count('ships_unplaced.no_pose') == 3, 'the reason')
     node.wait_for_log('the nearest pose is 2 s earlier')
+
+
+def test_without_any_poses_no_image_waits(begin: Begin) -> None:
+    node = begin('PoseStamped')
+    # The last pose is longer ago than any frame waits.
+    time.sleep(4.2)
+    started = time.monotonic()
+    for number in range(5):
+        node.send_hulls(20.0 + number)
+        node.answer_at(20.0 + number)
+    # Waiting would take 20 s.
+    assert time.monotonic() - started < 15.0
+    assert node.count('ships_unplaced.no_pose') == 15
 
 
 def test_poses_that_are_none_are_refused_and_said(begin: Begin) -> None:
