@@ -13,6 +13,8 @@ _SIGNIFICANT = 3.0
 # No ship is faster, m/s: two ships share an id.
 _MAX_SPEED = 50.0
 _MIN_VIEWS = 3
+# No place is known better, metres.
+_MIN_SIGMA = 0.1
 
 
 class Velocity(NamedTuple):
@@ -103,9 +105,7 @@ class GroundTrack:
             return None
         east = (self._w * self._te - self._wt * self._e) / spread
         north = (self._w * self._tn - self._wt * self._n) / spread
-        variance = self._residual(east, north)
-        if self.is_weighted:
-            variance = max(variance, 1.0)
+        variance = max(self._residual(east, north), 1.0 if self.is_weighted else _MIN_SIGMA**2)
         sigma = math.sqrt(variance * self._w / spread)
         speed = math.hypot(east, north)
         if not _SIGNIFICANT * sigma < speed < _MAX_SPEED:

@@ -61,3 +61,9 @@ def test_a_ship_that_may_lie_still_has_no_speed() -> None:
 )
 def test_what_is_no_way_of_a_ship_has_no_speed(times, places) -> None:
     assert track_of(times, places, 0.01).velocity() is None
+
+
+def test_places_without_uncertainty_that_hardly_differ_are_no_way() -> None:
+    times = np.arange(20.0)
+    places = 1e-6 * times[:, None] * [1.0, 1.0]
+    assert track_of(times, places, None).velocity() is None
