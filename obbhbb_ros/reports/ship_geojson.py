@@ -46,7 +46,12 @@ def ship_geojson(ships: Iterable[ShipReport]) -> bytes:
     Parameters
     ----------
     ships : iterable of ShipReport
-        The ships, with finite numbers.
+        The ships. What is not finite is left out; place, course and size have to be.
+
+    Raises
+    ------
+    ShipListError
+        If it is larger than `MAX_LIST_BYTES`, and so could not be read.
 
     Examples
     --------
@@ -66,8 +71,10 @@ def ship_geojson(ships: Iterable[ShipReport]) -> bytes:
         for ship in ships
     )
     text = f'{{"type":"FeatureCollection","features":[\n{features}\n]}}'
+    content = text.encode(errors='replace')
+    _check_size(content)
     packer = zlib.compressobj(9, zlib.DEFLATED, _GZIP, 9)
-    return packer.compress(text.encode(errors='replace')) + packer.flush()
+    return packer.compress(content) + packer.flush()
 
 
 def read_ship_geojson(content: bytes) -> list[ShipReport]:
@@ -97,16 +104,21 @@ def _unpacked(content: bytes) -> bytes:
         text = unpacker.decompress(content, MAX_LIST_BYTES + 1)
     except zlib.error as error:
         raise ShipListError(f'damaged: {error}') from None
-    if len(text) > MAX_LIST_BYTES:
-        raise ShipListError(f'larger than the maximum of {MAX_LIST_BYTES} bytes')
+    _check_size(text)
     if not unpacker.eof:
         raise ShipListError('damaged: its end is missing')
     return text
 
 
+def _check_size(text: bytes) -> None:
+    """Raise ShipListError if a list is too large."""
+    if len(text) > MAX_LIST_BYTES:
+        raise ShipListError(f'larger than the maximum of {MAX_LIST_BYTES} bytes')
+
+
 def _feature(ship: ShipReport) -> dict[str, Any]:
     """Describe a ship as a feature."""
-    sigma = ship.sigma_m
+    sigma = ship.sigma_m if ship.sigma_m and all(map(math.isfinite, ship.sigma_m)) else None
     properties = {
         'course': _turned(ship.course, 180.0 if ship.course_ambiguous else 360.0),
         'course_ambiguous': ship.course_ambiguous,
@@ -133,8 +145,8 @@ def _feature(ship: ShipReport) -> dict[str, Any]:
 
 
 def _rounded(value: float | None, decimals: int) -> float | None:
-    """Round a number, to an integer where it is one."""
-    return None if value is None else _plain(round(value, decimals))
+    """Round a number, to an integer where it is one; None if it is not finite."""
+    return None if value is None or not math.isfinite(value) else _plain(round(value, decimals))
 
 
 def _turned(value: float | None, circle: float) -> float | None:
@@ -143,8 +155,10 @@ def _turned(value: float | None, circle: float) -> float | None:
 
 
 def _short(value: float | None) -> float | None:
-    """Round an uncertainty."""
-    return None if value is None else _plain(float(f'{value:.{_SIGMA_DIGITS}g}'))
+    """Round an uncertainty; None if it is not finite."""
+    if value is None or not math.isfinite(value):
+        return None
+    return _plain(float(f'{value:.{_SIGMA_DIGITS}g}'))
 
 
 def _plain(value: float) -> float:

@@ -28,6 +28,7 @@ from obbhbb_ros.reports.ship_geojson import ship_geojson
 from obbhbb_ros.reports.ship_list import LIST_KIND
 from obbhbb_ros.reports.ship_message import MIN_MESSAGE_BYTES
 from obbhbb_ros.reports.ship_message import ship_message
+from obbhbb_ros.reports.ship_report import ShipListError
 from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.reports.ship_report import most_valuable
 from obbhbb_ros.spool.access import booking
@@ -158,12 +159,11 @@ class ListSpool:
             for row in self._rows(rows, ChipState.WAITING):
                 old += self._taken(rows, books, row) or ()
             together = _joined(old, ships)
-            kept = most_valuable(together, MAX_SHIPS)
+            kept, content = _readable(together)
             books.count('ships_added', len(ships))
             books.count('ships_merged', len(old) + len(ships) - len(together))
             books.count('ships_dropped', len(together) - len(kept))
             if kept:
-                content = ship_geojson(kept)
                 self._put(rows, books, ChipState.WAITING, len(kept), max_bytes, content)
 
     def needed(self, max_size: float) -> int:
@@ -353,6 +353,16 @@ def _joined(old: Sequence[ShipReport], new: Sequence[ShipReport]) -> list[ShipRe
         known = by_id.get(key)
         by_id[key] = ship if known is None else joined_reports(known, ship)
     return list(by_id.values())
+
+
+def _readable(ships: Sequence[ShipReport]) -> tuple[list[ShipReport], bytes]:
+    """Write a list that can be read again: of too many ships, or too long texts, the best half."""
+    kept = most_valuable(ships, MAX_SHIPS)
+    while True:
+        try:
+            return kept, ship_geojson(kept)
+        except ShipListError:
+            kept = most_valuable(kept, len(kept) // 2)
 
 
 def _size(file_bytes: int) -> int:

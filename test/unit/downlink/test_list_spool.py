@@ -223,6 +223,16 @@ def test_too_many_ships_are_dropped_the_least_valuable_first(chain, monkeypatch)
     assert seen_ships.MAX_SHIPS == 20_000
 
 
+def test_texts_that_no_list_can_hold_cost_their_ships_alone(chain):
+    long = 'x' * 9_000_000
+    chain.lists.add([ship_report(1, class_id=long), ship_report(2, class_id=long), ship_report(3)])
+    chain.steps()
+    down = chain.bus()
+    assert 3 in down
+    assert chain.status().counts['ships_dropped'] == 3 - len(down) > 0
+    assert chain.troubles == []
+
+
 def change_rows(folder, statement):
     """Change the newest catalogue of lists."""
     path = catalogue_files(folder / 'spool' / FOLDER)[-1]

@@ -163,6 +163,18 @@ def test_geojson_is_what_rfc_7946_asks_for():
     }
 
 
+def test_numbers_that_are_not_finite_are_left_out():
+    odd = replace(TUG, score=math.inf, speed=math.nan, sigma_m=(1.0, math.nan, 3.0))
+    (back,) = read_ship_list(ship_geojson([odd]))
+    assert (back.score, back.speed, back.sigma_m) == (None, None, None)
+    assert back.length_m == pytest.approx(TUG.length_m, abs=0.051)
+
+
+def test_a_list_that_could_not_be_read_is_not_written():
+    with pytest.raises(ShipListError, match='larger'):
+        ship_geojson([replace(TUG, class_id='x' * MAX_LIST_BYTES)])
+
+
 def test_a_ship_costs_forty_bytes_in_a_long_list():
     assert len(ship_geojson(fleet(1000))) / 1000 < 42
     assert len(ship_geojson(fleet(20))) / 20 < 62
