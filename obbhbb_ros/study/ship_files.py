@@ -70,11 +70,16 @@ def _text(name: str) -> ShipColumn:
 
 
 def _number(name: str) -> ShipColumn:
-    return ShipColumn('number', _of_facts(name))
+    return ShipColumn('number', lambda row: _real(getattr(row.facts, name)))
 
 
 def _sigma(index: int) -> ShipColumn:
-    return ShipColumn('number', lambda row: row.facts.sigma_m and row.facts.sigma_m[index])
+    return ShipColumn('number', lambda row: _real((row.facts.sigma_m or [None] * 3)[index]))
+
+
+def _real(value: float | None) -> float | None:
+    """Return a number as one with a point: readers take the type of a field from its values."""
+    return None if value is None else float(value)
 
 
 def _time(name: str) -> ShipColumn:

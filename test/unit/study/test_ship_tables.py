@@ -117,6 +117,14 @@ def test_a_chip_gives_a_row_with_all_its_facts(tmp_path) -> None:
     }
 
 
+def test_whole_numbers_are_numbers_with_a_point(tmp_path) -> None:
+    place = POSITION | {'lat': 36, 'lon': -5, 'course': 71, 'length_m': 30, 'sigma_m': [4, 3, 0]}
+    put_chip(tmp_path / 'box', 'a', position=place, score=1)
+    (row,) = table(tmp_path)
+    for name, column in SHIP_COLUMNS.items():
+        assert column.kind != 'number' or type(row[name]) in (float, type(None)), name
+
+
 def test_a_list_gives_a_row_for_each_ship(tmp_path, capsys) -> None:
     moving = {
         'speed': 7.5,
