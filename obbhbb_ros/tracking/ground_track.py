@@ -95,8 +95,9 @@ class GroundTrack:
         Returns
         -------
         Velocity or None
-            None with fewer than three places, if the ship may lie still (less than three standard
-            deviations), or if it would be faster than any ship.
+            None with fewer than three places, if the ship may lie still, or if it would be faster
+            than any ship. Of ships that lie still 1 % get a speed: those beyond three standard
+            deviations, or more if these come from few places of unknown uncertainty.
         """
         if self.views < _MIN_VIEWS:
             return None
@@ -108,10 +109,22 @@ class GroundTrack:
         variance = max(self._residual(east, north), 1.0 if self.is_weighted else _MIN_SIGMA**2)
         sigma = math.sqrt(variance * self._w / spread)
         speed = math.hypot(east, north)
-        if not _SIGNIFICANT * sigma < speed < _MAX_SPEED:
+        limit = _SIGNIFICANT if self.is_weighted else self._limit()
+        if not limit * sigma < speed < _MAX_SPEED:
             return None
         course = math.degrees(math.atan2(east, north)) % 360.0
         return Velocity(speed, sigma, course, math.degrees(sigma / speed))
+
+    def _limit(self) -> float:
+        """
+        Return how many standard deviations are significant, if these come from the residuals.
+
+        Half the square of their number has the F distribution of 2 and n degrees of freedom, n
+        those of the residuals, if the ship lies still; it is above x with a probability of
+        (1 + 2 x / n)^(-n/2), which here is that of three known standard deviations, exp(-9/2).
+        """
+        freedom = 2 * self.views - 4
+        return math.sqrt(freedom * math.expm1(_SIGNIFICANT**2 / freedom))
 
     def _residual(self, east: float, north: float) -> float:
         """Return the weighted variance of the places about the line, of a direction."""

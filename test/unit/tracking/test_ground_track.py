@@ -67,3 +67,18 @@ def test_places_without_uncertainty_that_hardly_differ_are_no_way() -> None:
     times = np.arange(20.0)
     places = 1e-6 * times[:, None] * [1.0, 1.0]
     assert track_of(times, places, None).velocity() is None
+
+
+@pytest.mark.parametrize('views', [3, 4, 6, 20])
+@pytest.mark.parametrize('variance', [None, 4.0])
+def test_one_in_a_hundred_ships_that_lie_still_gets_a_speed(
+    views: int, variance: float | None
+) -> None:
+    random = np.random.default_rng(views)
+    given = 0
+    for _ in range(2000):
+        track = GroundTrack()
+        for second, (east, north) in enumerate(random.normal(0.0, 2.0, (views, 2)).tolist()):
+            track.add(float(second), east, north, variance)
+        given += track.velocity() is not None
+    assert given <= 0.025 * 2000
