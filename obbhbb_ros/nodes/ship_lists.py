@@ -11,8 +11,8 @@ from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.parts import Part
 from obbhbb_ros.nodes.parts import steady_timer
 from obbhbb_ros.nodes.spool_report import kind_of
-from obbhbb_ros.reports.seen_ships import MAX_SHIPS
 from obbhbb_ros.reports.seen_ships import ShipCollector
+from obbhbb_ros.reports.ship_report import MAX_SHIPS
 from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.reports.ship_report import most_valuable
 from obbhbb_ros.settings.ship_tracker import TrackerSettings

@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 from obbhbb_ros.earth.ellipsoid import east_north_up
 from obbhbb_ros.earth.placement import Placement
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.reports.ship_report import MAX_SHIPS
 from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.tracking.ground_track import GroundTrack
 from obbhbb_ros.tracking.ground_track import Velocity
 
-__all__ = ['MAX_SHIPS', 'ShipCollector', 'joined_reports']
-
-MAX_SHIPS = 20_000
-"""Ships that are remembered until they are listed."""
+__all__ = ['ShipCollector']
 
 # Characters of an id or a class, so that a list of many ships can be read again.
 _MAX_TEXT = 64
@@ -191,41 +189,3 @@ def _under_way(report: ShipReport, velocity: Velocity) -> ShipReport:
         if off + velocity.course_sigma <= _AHEAD:
             return replace(moving, course=course, course_ambiguous=False)
     return moving
-
-
-def joined_reports(earlier: ShipReport, later: ShipReport) -> ShipReport:
-    """
-    Join what two lists say of one ship.
-
-    Place, course and size are those of the smaller uncertainty, or else of the later list; class
-    and score the most certain ones; speed and its course those of the later list, if it has them.
-
-    Examples
-    --------
-    >>> seen = ShipReport(
-    ...     id='a-1', latitude=36.1, longitude=-5.4, course=12.0, course_ambiguous=True,
-    ...     length_m=30.0, width_m=9.0, first=5, last=7, views=2, score=0.5, class_id='tug',
-    ... )
-    >>> again = replace(seen, latitude=36.2, first=9, last=9, views=1, score=0.4, class_id='boat')
-    >>> both = joined_reports(seen, again)
-    >>> both.latitude, both.views, both.first, both.last, both.class_id
-    (36.2, 3, 5, 9, 'tug')
-    """
-    is_better = later.sigma_m is not None or earlier.sigma_m is None
-    if earlier.sigma_m and later.sigma_m:
-        is_better = later.sigma_m[0] <= earlier.sigma_m[0]
-    best = later if is_better else earlier
-    surest = max((earlier, later), key=lambda ship: -1.0 if ship.score is None else ship.score)
-    moving = earlier if later.speed is None else later
-    return replace(
-        best,
-        first=min(earlier.first, later.first),
-        last=max(earlier.last, later.last),
-        views=earlier.views + later.views,
-        class_id=surest.class_id,
-        score=surest.score,
-        speed=moving.speed,
-        speed_sigma=moving.speed_sigma,
-        course_over_ground=moving.course_over_ground,
-        course_over_ground_sigma=moving.course_over_ground_sigma,
-    )

@@ -5,13 +5,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import replace
 
 from obbhbb_ros.errors import ObbhbbError
 
-__all__ = ['MAX_LIST_BYTES', 'ShipListError', 'ShipReport', 'most_valuable', 'value_order']
+__all__ = [
+    'MAX_LIST_BYTES',
+    'MAX_SHIPS',
+    'ShipListError',
+    'ShipReport',
+    'joined_reports',
+    'most_valuable',
+    'value_order',
+]
 
 MAX_LIST_BYTES = 2**24
 """Maximum size of a list that is read, unpacked: some 50,000 ships."""
+MAX_SHIPS = 20_000
+"""Ships that are remembered until they are listed, or wait in a list."""
+
+# Uncertainties that differ by less do not say which report is better.
+_ALIKE = 0.9
 
 
 class ShipListError(ObbhbbError, ValueError):
@@ -94,3 +108,49 @@ def most_valuable(ships: Sequence[ShipReport], count: int) -> list[ShipReport]:
         return list(ships)
     ranked = sorted(range(len(ships)), key=lambda row: value_order(ships[row]))
     return [ships[row] for row in sorted(ranked[:count])]
+
+
+def joined_reports(earlier: ShipReport, later: ShipReport) -> ShipReport:
+    """
+    Join what two lists say of one ship.
+
+    Place, course and size are those of the smaller uncertainty; where these are alike, of more
+    views: at the border of the image a ship may be seen in part. Class and score are the most
+    certain ones; speed and its course those of the later list, if it has them.
+
+    Examples
+    --------
+    >>> seen = ShipReport(
+    ...     id='a-1', latitude=36.1, longitude=-5.4, course=12.0, course_ambiguous=True,
+    ...     length_m=30.0, width_m=9.0, first=5, last=7, views=2, score=0.5, class_id='tug',
+    ... )
+    >>> again = replace(seen, latitude=36.2, first=9, last=9, views=1, score=0.4, class_id='boat')
+    >>> both = joined_reports(seen, again)
+    >>> both.latitude, both.views, both.first, both.last, both.class_id
+    (36.1, 3, 5, 9, 'tug')
+    """
+    best = _better(earlier, later)
+    surest = max((earlier, later), key=lambda ship: -1.0 if ship.score is None else ship.score)
+    moving = earlier if later.speed is None else later
+    return replace(
+        best,
+        first=min(earlier.first, later.first),
+        last=max(earlier.last, later.last),
+        views=earlier.views + later.views,
+        class_id=surest.class_id,
+        score=surest.score,
+        speed=moving.speed,
+        speed_sigma=moving.speed_sigma,
+        course_over_ground=moving.course_over_ground,
+        course_over_ground_sigma=moving.course_over_ground_sigma,
+    )
+
+
+def _better(earlier: ShipReport, later: ShipReport) -> ShipReport:
+    """Return the report that tells better where a ship was."""
+    first, second = (ship.sigma_m[0] if ship.sigma_m else None for ship in (earlier, later))
+    if (first is None) != (second is None):
+        return earlier if second is None else later
+    if first is not None and second is not None and not _ALIKE * first <= second <= first / _ALIKE:
+        return earlier if first < second else later
+    return earlier if earlier.views > later.views else later

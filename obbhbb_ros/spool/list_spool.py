@@ -22,14 +22,14 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
-from obbhbb_ros.reports.seen_ships import MAX_SHIPS
-from obbhbb_ros.reports.seen_ships import joined_reports
 from obbhbb_ros.reports.ship_geojson import ship_geojson
 from obbhbb_ros.reports.ship_list import LIST_KIND
 from obbhbb_ros.reports.ship_message import MIN_MESSAGE_BYTES
 from obbhbb_ros.reports.ship_message import ship_message
+from obbhbb_ros.reports.ship_report import MAX_SHIPS
 from obbhbb_ros.reports.ship_report import ShipListError
 from obbhbb_ros.reports.ship_report import ShipReport
+from obbhbb_ros.reports.ship_report import joined_reports
 from obbhbb_ros.reports.ship_report import most_valuable
 from obbhbb_ros.spool.access import booking
 from obbhbb_ros.spool.books import Books

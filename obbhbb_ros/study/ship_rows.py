@@ -19,8 +19,8 @@ import numpy as np
 
 from obbhbb_ros.earth.ellipsoid import to_ecef
 from obbhbb_ros.geometry.boxes import FloatArray
-from obbhbb_ros.reports.seen_ships import joined_reports
 from obbhbb_ros.reports.ship_report import ShipReport
+from obbhbb_ros.reports.ship_report import joined_reports
 from obbhbb_ros.study.received import Received
 from obbhbb_ros.study.received import ReceivedChip
 from obbhbb_ros.study.received import ReceivedList

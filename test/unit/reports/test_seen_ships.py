@@ -10,9 +10,9 @@ from obbhbb_ros import OrientedBoxes
 from obbhbb_ros.earth.pinhole import Pinhole
 from obbhbb_ros.earth.placement import place
 from obbhbb_ros.earth.pose import CameraPose
-from obbhbb_ros.reports.seen_ships import MAX_SHIPS
 from obbhbb_ros.reports.seen_ships import ShipCollector
-from obbhbb_ros.reports.seen_ships import joined_reports
+from obbhbb_ros.reports.ship_report import MAX_SHIPS
+from obbhbb_ros.reports.ship_report import joined_reports
 
 # 500 km above the equator, image up to the north, 1.5 m a pixel.
 CAMERA = Pinhole([1e6 / 3, 0, 511.5, 0, 1e6 / 3, 511.5, 0, 0, 1])
@@ -139,3 +139,15 @@ def test_two_lists_of_one_ship_are_joined() -> None:
     both = joined_reports(early, late)
     assert both == replace(early, last=late.last, views=2)
     assert joined_reports(replace(early, sigma_m=None), late).sigma_m == late.sigma_m
+
+
+def test_of_two_lists_with_like_uncertainty_the_one_with_more_views_counts() -> None:
+    collector = ShipCollector()
+    for second in range(3):
+        note(collector, second, [[300, 500, 60, 10, 0.0]], ['s-1'], sigma=3.0)
+    (many,) = collector.take()
+    note(collector, 9, [[300, 500, 30, 10, 0.0]], ['s-1'], whole=[False], sigma=3.0)
+    (cut,) = collector.take()
+    for both in (joined_reports(many, cut), joined_reports(cut, many)):
+        assert both.length_m == many.length_m
+        assert both.views == 4
