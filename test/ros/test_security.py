@@ -68,6 +68,8 @@ def test_the_policy_has_the_names_of_the_running_node_whatever_its_parameters(
         Picture.new('L', (40, 30)).save(tmp_path / 'P1.png')
         used['path'] = tmp_path / 'P1.txt'
         used['path'].write_text('10 20 30 20 30 25 10 25 ship 0\n')
+        # With a pose there is one more topic.
+        used |= {'pass_height': 20, 'pass_step': 5, 'pass_altitude': 1000.0, 'rate': 0.01}
     if node == 'ship_tracker':
         used['camera_mount'] = [0.0, 0.0, 0.0, 1.0]
     spaces = {f'/variant{i}': given for i, given in enumerate(variants(node))}
