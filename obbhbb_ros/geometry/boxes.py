@@ -23,7 +23,6 @@ from enum import IntEnum
 from functools import cached_property
 from typing import Any
 from typing import NoReturn
-from typing import TypeAlias
 
 import numpy as np
 import shapely
@@ -32,6 +31,7 @@ from numpy.typing import NDArray
 
 from obbhbb_ros.geometry.corners import LARGE
 from obbhbb_ros.geometry.corners import SMALL
+from obbhbb_ros.geometry.corners import FloatArray
 from obbhbb_ros.geometry.corners import are_crossed
 from obbhbb_ros.geometry.corners import are_nearly_rectangles
 from obbhbb_ros.geometry.corners import areas_of
@@ -41,8 +41,6 @@ from obbhbb_ros.geometry.corners import middles_of
 from obbhbb_ros.geometry.corners import quarters_of
 
 __all__ = ['FARTHEST', 'Defect', 'FloatArray', 'OrientedBoxes']
-
-FloatArray: TypeAlias = NDArray[np.float64]
 
 # The number of boxes that are processed at a time, so that the temporaries stay in a core's cache.
 BLOCK = 8192

@@ -10,13 +10,12 @@ points u, v and w change places and signs, no more.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from obbhbb_ros.geometry.boxes import FloatArray
+FloatArray: TypeAlias = NDArray[np.float64]
 
 # Products of four numbers below LARGE do not overflow, squared areas of sides above SMALL do not
 # underflow.
