@@ -80,7 +80,11 @@ setup(
         'Typing :: Typed',
     ],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
-    package_data={PACKAGE: ['py.typed', 'data/*'], f'{PACKAGE}.study': ['templates/*']},
+    package_data={
+        PACKAGE: ['py.typed', 'data/*', 'templates/*'],
+        f'{PACKAGE}.ground': ['templates/*'],
+        f'{PACKAGE}.study': ['templates/*'],
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),

@@ -9,8 +9,8 @@ from dataclasses import fields
 from pathlib import Path
 
 from obbhbb_ros.commands.shared_options import without_garbage_collection
-from obbhbb_ros.study.progress import note
-from obbhbb_ros.study.progress import track
+from obbhbb_ros.progress import note
+from obbhbb_ros.progress import track
 
 
 def add_bag_options(parser: ArgumentParser) -> None:

@@ -27,11 +27,11 @@ from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.image_files import find_images
 from obbhbb_ros.labels.image_files import load_image
 from obbhbb_ros.labels.image_names import bare_name
+from obbhbb_ros.progress import note
+from obbhbb_ros.progress import track
 from obbhbb_ros.study import chip_costs
 from obbhbb_ros.study import tables
 from obbhbb_ros.study.harbour import harbour
-from obbhbb_ros.study.progress import note
-from obbhbb_ros.study.progress import track
 from obbhbb_ros.study.rules import DEFAULT_RULES
 
 # Labels, and pixels of shape (H, W, C).
@@ -153,8 +153,8 @@ def add_gallery_options(parser: ArgumentParser) -> None:
 
 def run_gallery(options: Namespace) -> None:
     """Show what came down: the chips of an outbox by ship, best first, on one HTML page."""
-    from obbhbb_ros.study.gallery import gallery_page
-    from obbhbb_ros.study.received import read_received
+    from obbhbb_ros.ground.gallery import gallery_page
+    from obbhbb_ros.ground.received import read_received
 
     # Resolved, because relative links do not work through symbolic links.
     outbox, beside = options.outbox.resolve(), options.output.resolve().parent

@@ -21,8 +21,8 @@ from obbhbb_ros.geometry.methods import METHODS
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels.axis_aligned import convert_file
 from obbhbb_ros.labels.image_labels import BOW_SOURCES
-from obbhbb_ros.study.progress import note
-from obbhbb_ros.study.progress import track
+from obbhbb_ros.progress import note
+from obbhbb_ros.progress import track
 
 
 def add_convert_options(parser: ArgumentParser) -> None:

@@ -17,7 +17,7 @@ from obbhbb_ros.geometry import converter
 from obbhbb_ros.labels import FORMATS
 from obbhbb_ros.labels import LabelError
 from obbhbb_ros.labels.folders import unread_folders
-from obbhbb_ros.study.progress import note
+from obbhbb_ros.progress import note
 from obbhbb_ros.study.ships import BOWS
 from obbhbb_ros.study.ships import Ships
 from obbhbb_ros.study.ships import read_ships

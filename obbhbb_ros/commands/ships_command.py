@@ -13,16 +13,16 @@ from datetime import datetime
 from datetime import timezone
 from pathlib import Path
 
-from obbhbb_ros.study.progress import note
-from obbhbb_ros.study.received import Received
-from obbhbb_ros.study.received import read_received
-from obbhbb_ros.study.ship_files import SHIP_FILES
-from obbhbb_ros.study.ship_files import ship_writer
-from obbhbb_ros.study.ship_files import utc_time
-from obbhbb_ros.study.ship_rows import ShipRow
-from obbhbb_ros.study.ship_rows import merged_within
-from obbhbb_ros.study.ship_rows import near_to
-from obbhbb_ros.study.ship_rows import ship_rows
+from obbhbb_ros.ground.received import Received
+from obbhbb_ros.ground.received import read_received
+from obbhbb_ros.ground.ship_files import SHIP_FILES
+from obbhbb_ros.ground.ship_files import ship_writer
+from obbhbb_ros.ground.ship_files import utc_time
+from obbhbb_ros.ground.ship_rows import ShipRow
+from obbhbb_ros.ground.ship_rows import merged_within
+from obbhbb_ros.ground.ship_rows import near_to
+from obbhbb_ros.ground.ship_rows import ship_rows
+from obbhbb_ros.progress import note
 
 _MIN_METRES = 0.001
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
+from obbhbb_ros.ground import spools
 from obbhbb_ros.spool.books import Status
 from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.console import ANY_CHIP
@@ -20,7 +21,6 @@ from obbhbb_ros.spool.console import ChipFilter
 from obbhbb_ros.spool.console import ObjectSummary
 from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.salvage import intact_chips
-from obbhbb_ros.study import spools
 
 _CHIPS_LISTED, _EXPORTED = 20, Path('out/chips')
 _ALL = 2**63 - 1

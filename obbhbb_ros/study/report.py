@@ -16,6 +16,7 @@ import numpy as np
 
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.converter import convert_by_rule
+from obbhbb_ros.pages import rendered
 from obbhbb_ros.study import evaluation
 from obbhbb_ros.study import figures
 from obbhbb_ros.study import grid_search
@@ -29,7 +30,6 @@ from obbhbb_ros.study.cross_validation import CALIBRATED
 from obbhbb_ros.study.cross_validation import CalibrationResult
 from obbhbb_ros.study.cross_validation import run
 from obbhbb_ros.study.metrics import PROTOCOLS
-from obbhbb_ros.study.pages import rendered
 from obbhbb_ros.study.rules import DEFAULT_RULES
 from obbhbb_ros.study.rules import TUNABLE_METHODS
 from obbhbb_ros.study.ships import Ships
@@ -73,6 +73,7 @@ def report_page(
     result = _cross_validated(referenced, seed) if referenced else None
     offsets = evaluation.offsets(referenced, settings=settings) if referenced else []
     return rendered(
+        'study',
         'report.html',
         title,
         command,

@@ -23,11 +23,11 @@ from obbhbb_ros.labels import map_images
 from obbhbb_ros.labels import maps
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.image_labels import BOW_SOURCES
+from obbhbb_ros.progress import track
 from obbhbb_ros.study.bows import bow_sides
 from obbhbb_ros.study.bows import with_bows
 from obbhbb_ros.study.matching import match_references
 from obbhbb_ros.study.metrics import outlines
-from obbhbb_ros.study.progress import track
 
 # `hull`: the end of the hull with less area; the others as the labels say.
 BOWS = (*BOW_SOURCES, 'hull')

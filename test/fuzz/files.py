@@ -43,6 +43,8 @@ from obbhbb_ros.bags.replay import add_boxes
 from obbhbb_ros.cli import main as convert
 from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.geometry.converter import HullRule
+from obbhbb_ros.ground.gallery import gallery_page
+from obbhbb_ros.ground.received import read_received
 from obbhbb_ros.labels import detect_format
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels import write_labels
@@ -57,9 +59,7 @@ from obbhbb_ros.spool.compact_json import compact_bytes
 from obbhbb_ros.spool.compact_json import without_camera
 from obbhbb_ros.spool.outbox import json_bytes
 from obbhbb_ros.spool.seals import sealed
-from obbhbb_ros.study.gallery import gallery_page
 from obbhbb_ros.study.harbour import harbour
-from obbhbb_ros.study.received import read_received
 
 BAG = Path(__file__).parents[1] / 'data/real_ships_bag/real_ships_bag.mcap'
 OF_TOOLS = Path(__file__).parents[1] / 'data/labels'

@@ -50,7 +50,9 @@ def test_a_wheel_holds_code_data_and_ros_resources(source, tmp_path) -> None:
         'labels/dota.py',
         'nodes/obb_to_hbb.py',
         'py.typed',
+        'ground/templates/gallery.html',
         'study/templates/report.html',
+        'templates/base.css',
     ]
     for path in files:
         assert f'obbhbb_ros/{path}' in names

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HTML pages from the templates of this package. Needs Jinja2, the extra `plots`."""
+"""HTML pages from the templates of a room, all of one style. Needs Jinja2, the extra `plots`."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from typing import Any
 
 import jinja2
 
-from obbhbb_ros.study.progress import printable
+from obbhbb_ros.progress import printable
 
 
-def rendered(template: str, title: str, command: str, **values: Any) -> str:
+def rendered(room: str, template: str, title: str, command: str, **values: Any) -> str:
     """
-    Make a page from a template and its values: everything is escaped, nothing may be missing.
+    Make a page from a template of a room and its values: all is escaped, nothing may be missing.
 
     The page tells when it was made, by which version and, unless it is empty, by which command.
     """
+    loaders = [jinja2.PackageLoader(package) for package in (f'obbhbb_ros.{room}', 'obbhbb_ros')]
     templates = jinja2.Environment(
-        loader=jinja2.PackageLoader('obbhbb_ros.study'),
+        loader=jinja2.ChoiceLoader(loaders),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

@@ -29,10 +29,10 @@ from obbhbb_ros.files import read_bounded
 from obbhbb_ros.files import replacing
 from obbhbb_ros.files import write_pieces
 from obbhbb_ros.files import write_text
+from obbhbb_ros.ground.ship_rows import ShipRow
 from obbhbb_ros.labels.vector_files import save_frame
+from obbhbb_ros.progress import printable
 from obbhbb_ros.reports.ship_report import ShipReport
-from obbhbb_ros.study.progress import printable
-from obbhbb_ros.study.ship_rows import ShipRow
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _MILLISECOND = timedelta(milliseconds=1)

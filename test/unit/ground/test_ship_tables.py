@@ -15,6 +15,8 @@ from spooled import Clock
 from spooled import feeder
 
 from obbhbb_ros.cli import main
+from obbhbb_ros.ground.ship_files import SHIP_COLUMNS
+from obbhbb_ros.ground.ship_files import SHIP_FILES
 from obbhbb_ros.reports.ship_geojson import ship_geojson
 from obbhbb_ros.reports.ship_list import LIST_KIND
 from obbhbb_ros.reports.ship_list import LIST_SUFFIXES
@@ -23,8 +25,6 @@ from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.spool.feeder import ReleaseSettings
 from obbhbb_ros.spool.list_spool import ListSpool
 from obbhbb_ros.spool.outbox import Outbox
-from obbhbb_ros.study.ship_files import SHIP_COLUMNS
-from obbhbb_ros.study.ship_files import SHIP_FILES
 
 POSITION = {
     'lat': 36.1357,

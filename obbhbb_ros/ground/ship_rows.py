@@ -19,11 +19,11 @@ import numpy as np
 
 from obbhbb_ros.earth.ellipsoid import to_ecef
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.ground.received import Received
+from obbhbb_ros.ground.received import ReceivedChip
+from obbhbb_ros.ground.received import ReceivedList
 from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.reports.ship_report import joined_reports
-from obbhbb_ros.study.received import Received
-from obbhbb_ros.study.received import ReceivedChip
-from obbhbb_ros.study.received import ReceivedList
 
 # Mean radius of the Earth, metres: from the chord to the distance along the ground.
 _RADIUS = 6_371_008.8

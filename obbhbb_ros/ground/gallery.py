@@ -23,18 +23,18 @@ import numpy as np
 
 from obbhbb_ros.downlink.chips import to_8_bits
 from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.ground.received import Received
+from obbhbb_ros.ground.received import ReceivedChip
+from obbhbb_ros.ground.ship_files import course_text
+from obbhbb_ros.ground.ship_files import described
+from obbhbb_ros.ground.ship_files import motion_text
+from obbhbb_ros.ground.ship_map import ship_map
+from obbhbb_ros.ground.ship_rows import ship_rows
 from obbhbb_ros.labels.image_files import opened_image
+from obbhbb_ros.pages import rendered
+from obbhbb_ros.progress import printable
+from obbhbb_ros.progress import track
 from obbhbb_ros.reports.ship_report import ShipReport
-from obbhbb_ros.study.pages import rendered
-from obbhbb_ros.study.progress import printable
-from obbhbb_ros.study.progress import track
-from obbhbb_ros.study.received import Received
-from obbhbb_ros.study.received import ReceivedChip
-from obbhbb_ros.study.ship_files import course_text
-from obbhbb_ros.study.ship_files import described
-from obbhbb_ros.study.ship_files import motion_text
-from obbhbb_ros.study.ship_map import ship_map
-from obbhbb_ros.study.ship_rows import ship_rows
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import stamp_text
 
@@ -84,6 +84,7 @@ def gallery_page(
         card['place'] = _place(rows.get(views[0].facts['object'] or views[0].path))
     times = sorted(chip.time for chip in received.chips)
     return rendered(
+        'ground',
         'gallery.html',
         printable(title),
         command,

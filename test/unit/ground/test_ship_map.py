@@ -11,7 +11,7 @@ from test_ship_tables import put_chip
 from test_ship_tables import put_list
 from test_ship_tables import report
 
-from obbhbb_ros.study.ship_map import ship_map
+from obbhbb_ros.ground.ship_map import ship_map
 
 pytest.importorskip('jinja2')
 

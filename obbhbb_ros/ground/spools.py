@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from obbhbb_ros.downlink.chips import CODECS
+from obbhbb_ros.progress import note
+from obbhbb_ros.progress import printable
+from obbhbb_ros.progress import track
 from obbhbb_ros.spool.books import Status
 from obbhbb_ros.spool.catalogue import SpoolDamagedError
 from obbhbb_ros.spool.catalogue import catalogue_files
@@ -20,9 +23,6 @@ from obbhbb_ros.spool.chip_rows import describe_intact
 from obbhbb_ros.spool.console import ObjectSummary
 from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.outbox import Outbox
-from obbhbb_ros.study.progress import note
-from obbhbb_ros.study.progress import printable
-from obbhbb_ros.study.progress import track
 from obbhbb_ros.text_tables import aligned
 
 # By `ChipState`.

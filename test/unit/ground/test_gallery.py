@@ -19,6 +19,8 @@ from PIL import Image
 from spooled import store
 
 from obbhbb_ros.cli import main
+from obbhbb_ros.ground.received import read_received
+from obbhbb_ros.ground.spools import export
 from obbhbb_ros.spool.compact_json import camera_id
 from obbhbb_ros.spool.compact_json import compact_bytes
 from obbhbb_ros.spool.compact_json import without_camera
@@ -26,8 +28,6 @@ from obbhbb_ros.spool.console import ANY_CHIP
 from obbhbb_ros.spool.console import SpoolConsole
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.writer import SpoolWriter
-from obbhbb_ros.study.received import read_received
-from obbhbb_ros.study.spools import export
 
 pytest.importorskip('jinja2')
 

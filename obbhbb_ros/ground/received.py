@@ -19,6 +19,8 @@ from typing import Any
 
 from obbhbb_ros.downlink.chips import CODECS
 from obbhbb_ros.files import read_bounded
+from obbhbb_ros.progress import printable
+from obbhbb_ros.progress import track
 from obbhbb_ros.reports.ship_list import LIST_KIND
 from obbhbb_ros.reports.ship_list import LIST_SUFFIXES
 from obbhbb_ros.reports.ship_list import read_ship_list
@@ -29,8 +31,6 @@ from obbhbb_ros.spool.compact_json import camera_id
 from obbhbb_ros.spool.compact_json import with_camera
 from obbhbb_ros.spool.ranking import worth_of
 from obbhbb_ros.spool.seals import is_sealed
-from obbhbb_ros.study.progress import printable
-from obbhbb_ros.study.progress import track
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import nanoseconds_of
 
