@@ -30,7 +30,7 @@ from obbhbb_ros.wire.layouts import InputType
 
 
 class Reference:
-    """The detections of one message, like `obbhbb_ros.pipeline.Batch`."""
+    """The detections of one message, like `obbhbb_ros.pipeline.batch.Batch`."""
 
     def __init__(
         self,

@@ -58,12 +58,12 @@ from obbhbb_ros.downlink.cameras import CameraChoice
 from obbhbb_ros.downlink.cameras import CameraMemory
 from obbhbb_ros.errors import ObbhbbError
 from obbhbb_ros.files import making
-from obbhbb_ros.pipeline import ConversionOutcome
-from obbhbb_ros.pipeline import Output
-from obbhbb_ros.pipeline import Outputs
-from obbhbb_ros.pipeline import answer
-from obbhbb_ros.pipeline import outside_complaint
-from obbhbb_ros.plausibility import OutsideWatch
+from obbhbb_ros.pipeline.conversion import Outputs
+from obbhbb_ros.pipeline.conversion import answer
+from obbhbb_ros.pipeline.conversion import outside_complaint
+from obbhbb_ros.pipeline.outcome import Outcome
+from obbhbb_ros.pipeline.outcome import Output
+from obbhbb_ros.pipeline.plausibility import OutsideWatch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.settings.parameter_file import Values
@@ -364,7 +364,7 @@ class _Answer(NamedTuple):
     """What the node would send for a message, by output, and what became of the message."""
 
     messages: dict[int, bytes]
-    outcome: ConversionOutcome
+    outcome: Outcome
 
 
 def answers_to(
@@ -379,7 +379,7 @@ def answers_to(
             outcome = answer(data, INPUT_TYPES[input_type], settings, camera, outputs)
         except WireError as error:
             complaints = {UNREADABLE: f'cannot be read: {error}'}
-            messages, outcome = {}, ConversionOutcome({'messages_unreadable': 1}, complaints)
+            messages, outcome = {}, Outcome({'messages_unreadable': 1}, complaints)
         answers.append(_Answer(messages, outcome))
     return answers
 

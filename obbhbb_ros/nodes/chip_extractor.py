@@ -54,7 +54,7 @@ from obbhbb_ros.nodes.parts import steady_timer
 from obbhbb_ros.nodes.positions_input import PositionsInput
 from obbhbb_ros.nodes.spool_report import SpoolReport
 from obbhbb_ros.nodes.spool_report import kind_of
-from obbhbb_ros.plausibility import frames_text
+from obbhbb_ros.pipeline.plausibility import frames_text
 from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
 from obbhbb_ros.settings.chip_extractor import ChipSettings
 from obbhbb_ros.spool.catalogue import SpoolError

@@ -18,8 +18,8 @@ from obbhbb_ros.downlink.joiner import CAMERAS_KEPT
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import reliable
 from obbhbb_ros.nodes.parts import Part
-from obbhbb_ros.pipeline import OTHER_FRAME
-from obbhbb_ros.pipeline import ConversionOutcome
+from obbhbb_ros.pipeline.image_size import OTHER_FRAME
+from obbhbb_ros.pipeline.outcome import Outcome
 from obbhbb_ros.wire.camera import WireCamera
 from obbhbb_ros.wire.camera import read_camera
 from obbhbb_ros.wire.layouts import INPUT_TYPES
@@ -27,7 +27,7 @@ from obbhbb_ros.wire.layouts import InputType
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import stamp_at_start
 
-Answer: TypeAlias = Callable[[bytes, InputType, CameraChoice[WireCamera] | None], ConversionOutcome]
+Answer: TypeAlias = Callable[[bytes, InputType, CameraChoice[WireCamera] | None], Outcome]
 # What waits is bounded by bytes as well.
 _MAX_WAITING = 32 * 2**20
 

@@ -10,12 +10,12 @@ from vision_msgs.msg import Detection2DArray
 from obbhbb_ros.downlink.cameras import CameraChoice
 from obbhbb_ros.nodes.detections_input import DetectionsInput
 from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.pipeline import ConversionOutcome
-from obbhbb_ros.pipeline import Output
-from obbhbb_ros.pipeline import Outputs
-from obbhbb_ros.pipeline import answer
-from obbhbb_ros.pipeline import outside_complaint
-from obbhbb_ros.plausibility import OutsideWatch
+from obbhbb_ros.pipeline.conversion import Outputs
+from obbhbb_ros.pipeline.conversion import answer
+from obbhbb_ros.pipeline.conversion import outside_complaint
+from obbhbb_ros.pipeline.outcome import Outcome
+from obbhbb_ros.pipeline.outcome import Output
+from obbhbb_ros.pipeline.plausibility import OutsideWatch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.wire.camera import WireCamera
@@ -66,7 +66,7 @@ class ObbToHbb(ManagedNode[ConversionSettings]):
 
     def _answer(
         self, data: bytes, input_type: InputType, camera: CameraChoice[WireCamera] | None
-    ) -> ConversionOutcome:
+    ) -> Outcome:
         """Convert a message under one snapshot of the parameters; publish what has subscribers."""
         outcome = answer(data, input_type, self.parameters.settings, camera, self._answers)
         outside = outside_complaint(self._outside, outcome)

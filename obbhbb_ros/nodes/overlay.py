@@ -34,7 +34,7 @@ from obbhbb_ros.overlay.collector import LayerCollector
 from obbhbb_ros.overlay.collector import NotDrawn
 from obbhbb_ros.overlay.drawing import OverlayError
 from obbhbb_ros.overlay.overlay_frame import OverlayFrame
-from obbhbb_ros.plausibility import frames_text
+from obbhbb_ros.pipeline.plausibility import frames_text
 from obbhbb_ros.settings.overlay import ANNOTATIONS
 from obbhbb_ros.settings.overlay import OVERLAY
 from obbhbb_ros.settings.overlay import OverlaySettings

@@ -10,8 +10,6 @@ from vision_msgs.msg import Detection2DArray
 from vision_msgs.msg import Detection3DArray
 
 from obbhbb_ros.downlink.cameras import CameraChoice
-from obbhbb_ros.identification import ShipIdentifier
-from obbhbb_ros.identification import TrackerOutputs
 from obbhbb_ros.nodes.detections_input import DetectionsInput
 from obbhbb_ros.nodes.detections_input import Waits
 from obbhbb_ros.nodes.managed import ManagedNode
@@ -19,8 +17,10 @@ from obbhbb_ros.nodes.node_topics import TopicOutput
 from obbhbb_ros.nodes.parts import steady_timer
 from obbhbb_ros.nodes.pose_inputs import PoseInputs
 from obbhbb_ros.nodes.ship_lists import ShipLists
-from obbhbb_ros.pipeline import ConversionOutcome
-from obbhbb_ros.pipeline import Output
+from obbhbb_ros.pipeline.identification import ShipIdentifier
+from obbhbb_ros.pipeline.identification import TrackerOutputs
+from obbhbb_ros.pipeline.outcome import Outcome
+from obbhbb_ros.pipeline.outcome import Output
 from obbhbb_ros.settings.ship_tracker import NO_POSE
 from obbhbb_ros.settings.ship_tracker import SHIP_TRACKER
 from obbhbb_ros.settings.ship_tracker import TrackerSettings
@@ -130,7 +130,7 @@ class ShipTracker(ManagedNode[TrackerSettings]):
 
     def _answer(
         self, data: bytes, input_type: InputType, camera: CameraChoice[WireCamera] | None
-    ) -> ConversionOutcome:
+    ) -> Outcome:
         """Give ids under one snapshot of the parameters."""
         settings = self.parameters.settings
         return self._identifier.answer(data, input_type, settings, camera, self._outputs)

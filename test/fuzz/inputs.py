@@ -64,11 +64,11 @@ from obbhbb_ros.earth.reported import ShipPlaces
 from obbhbb_ros.earth.reported import reported_covariances
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
-from obbhbb_ros.identification import ShipIdentifier
-from obbhbb_ros.identification import TrackerOutputs
-from obbhbb_ros.pipeline import Batch
-from obbhbb_ros.pipeline import Output
-from obbhbb_ros.placing import ShipPlacer
+from obbhbb_ros.pipeline.batch import Batch
+from obbhbb_ros.pipeline.identification import ShipIdentifier
+from obbhbb_ros.pipeline.identification import TrackerOutputs
+from obbhbb_ros.pipeline.outcome import Output
+from obbhbb_ros.pipeline.placing import ShipPlacer
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.ship_tracker import SHIP_TRACKER
 from obbhbb_ros.wire.buffer import WireError

@@ -27,7 +27,7 @@ from obbhbb_ros.nodes.play_detections import detections_message
 from obbhbb_ros.nodes.play_detections import polygon_message
 from obbhbb_ros.nodes.play_detections import polygons_message
 from obbhbb_ros.nodes.play_detections import yolo_message
-from obbhbb_ros.pipeline import Batch
+from obbhbb_ros.pipeline.batch import Batch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.camera import read_camera

@@ -50,7 +50,7 @@ from obbhbb_ros.bags.rescue import unpack_chunk
 from obbhbb_ros.bags.topics import OUTPUT_HASH
 from obbhbb_ros.bags.topics import OUTPUT_TYPE
 from obbhbb_ros.cli import main
-from obbhbb_ros.pipeline import Batch
+from obbhbb_ros.pipeline.batch import Batch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 

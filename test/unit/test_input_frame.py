@@ -14,7 +14,7 @@ from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
 from obbhbb_ros.geometry.converter import half_extents
 from obbhbb_ros.geometry.input_frame import InputFrame
-from obbhbb_ros.pipeline import Batch
+from obbhbb_ros.pipeline.batch import Batch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import INPUT_TYPES

@@ -280,7 +280,7 @@ def test_the_settings_of_the_downlink_need_no_shapely() -> None:
 
 def test_no_ros_is_imported() -> None:
     code = (
-        'import sys, obbhbb_ros.identification, obbhbb_ros.wire.image\n'
+        'import sys, obbhbb_ros.pipeline.identification, obbhbb_ros.wire.image\n'
         'from obbhbb_ros.settings import chip_extractor, downlink, obb_to_hbb, overlay\n'
         'print([name for name in sys.modules if name.startswith(("rclpy", "rcl_", "rosidl"))])'
     )

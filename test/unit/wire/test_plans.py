@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from obbhbb_ros.downlink.crops import CropSettings
 from obbhbb_ros.downlink.crops import plan_crops
-from obbhbb_ros.pipeline import Batch
+from obbhbb_ros.pipeline.batch import Batch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.detections import Detections

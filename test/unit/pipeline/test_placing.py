@@ -27,9 +27,9 @@ from obbhbb_ros.earth.quaternions import matrices_of_vectors
 from obbhbb_ros.earth.quaternions import unit_quaternion
 from obbhbb_ros.earth.reported import ShipPlaces
 from obbhbb_ros.earth.reprojection import Viewpoint
-from obbhbb_ros.identification import ShipIdentifier
-from obbhbb_ros.identification import TrackerOutputs
-from obbhbb_ros.pipeline import Output
+from obbhbb_ros.pipeline.identification import ShipIdentifier
+from obbhbb_ros.pipeline.identification import TrackerOutputs
+from obbhbb_ros.pipeline.outcome import Output
 from obbhbb_ros.reports.seen_ships import ShipCollector
 from obbhbb_ros.settings.ship_tracker import SHIP_TRACKER
 from obbhbb_ros.wire.camera import WireCamera

@@ -12,10 +12,10 @@ from cdr import encode
 from hypothesis import given
 
 from obbhbb_ros.geometry.input_frame import InputFrame
-from obbhbb_ros.identification import ShipIdentifier
-from obbhbb_ros.identification import TrackerOutputs
-from obbhbb_ros.pipeline import NOBODY
-from obbhbb_ros.pipeline import Output
+from obbhbb_ros.pipeline.identification import ShipIdentifier
+from obbhbb_ros.pipeline.identification import TrackerOutputs
+from obbhbb_ros.pipeline.outcome import NOBODY
+from obbhbb_ros.pipeline.outcome import Output
 from obbhbb_ros.settings.ship_tracker import SHIP_TRACKER
 from obbhbb_ros.tracking.matcher import MAX_BOXES
 from obbhbb_ros.tracking.track_ids import is_tracker_id

@@ -21,6 +21,7 @@ from obbhbb_ros.earth.pose_sweep import swept_pose
 from obbhbb_ros.earth.reported import reported_covariances
 from obbhbb_ros.earth.reprojection import Viewpoint
 from obbhbb_ros.geometry.boxes import OrientedBoxes
+from obbhbb_ros.pipeline.outcome import Finding
 from obbhbb_ros.settings.ship_tracker import PlaceSettings
 from obbhbb_ros.wire.camera import WireCamera
 from obbhbb_ros.wire.detections import Detections
@@ -57,8 +58,8 @@ class PlacedShips:
         Its pose, if that is known.
     age : float
         Seconds between the image and the sample of the pose that is nearest to it; 0 without one.
-    counts, complaints : dict
-        By key of the diagnostics, and what went wrong, by kind.
+    finding : Finding
+        How many have no place, and why.
     """
 
     stamp: Stamp
@@ -66,8 +67,7 @@ class PlacedShips:
     viewpoint: Viewpoint | None
     pose: CameraPose | PoseSweep | None
     age: float
-    counts: dict[str, int]
-    complaints: dict[str, str]
+    finding: Finding
 
     def within(self, lengths: tuple[float, float]) -> NDArray[np.bool_]:
         """Tell which ships have a length within limits, metres, or have no place."""
@@ -166,16 +166,15 @@ class ShipPlacer:
         else:
             heights = settings.surface_height, settings.min_elevation
             ships = place(boxes, pinhole, pose, *heights)
-            counts, complaints = _findings(ships.unplaced, stamp)
             view = None
             if isinstance(pose, CameraPose):
                 view = Viewpoint(pinhole, pose, settings.surface_height)
-            return PlacedShips(stamp, ships, view, pose, age, counts, complaints)
+            return PlacedShips(stamp, ships, view, pose, age, _unplaced(ships.unplaced, stamp))
         key, why = reason
         counts = {f'ships_unplaced.{key}': len(boxes)} if len(boxes) else {}
         text = f'the ships at stamp {stamp_text(stamp)} get no place: {why}'
         nowhere = Placement.nowhere(len(boxes))
-        return PlacedShips(stamp, nowhere, None, pose, age, counts, {key: text})
+        return PlacedShips(stamp, nowhere, None, pose, age, Finding(counts, {key: text}))
 
     def _pose(
         self, stamp: Stamp, height: int, settings: PlaceSettings
@@ -216,7 +215,7 @@ def _is_alike(camera: WireCamera, other: WireCamera) -> bool:
     )
 
 
-def _findings(unplaced: NDArray[np.uint8], stamp: Stamp) -> tuple[dict[str, int], dict[str, str]]:
+def _unplaced(unplaced: NDArray[np.uint8], stamp: Stamp) -> Finding:
     """Count the ships without a place by reason, and complain by kind."""
     counts, complaints = {}, {}
     for reason, (key, text) in _REASONS.items():
@@ -227,4 +226,4 @@ def _findings(unplaced: NDArray[np.uint8], stamp: Stamp) -> tuple[dict[str, int]
                     f'{number} of {len(unplaced)} ships at stamp {stamp_text(stamp)} get no place: '
                     f'{text}'
                 )
-    return counts, complaints
+    return Finding(counts, complaints)

@@ -1,26 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What happens to a message: bytes and settings in, bytes and counts out, without ROS.
+The detections of a message, converted: bytes in, bytes out.
 
     batch = Batch(data, INPUT_TYPES['Detection2DArray'], settings, image_size)
     boxes = batch.boxes_message()
     plan = batch.plan_crops()
     regions = batch.crop_regions_message(plan)
-
-`answer` decides what is published for a message, for the node and for bags alike.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from obbhbb_ros.downlink.cameras import CameraChoice
 from obbhbb_ros.downlink.crops import CropPlan
 from obbhbb_ros.downlink.crops import plan_crops
 from obbhbb_ros.geometry.boxes import Defect
@@ -30,233 +24,15 @@ from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import half_extents
 from obbhbb_ros.geometry.converter import to_xyxy
-from obbhbb_ros.plausibility import Doubt
-from obbhbb_ros.plausibility import OutsideWatch
-from obbhbb_ros.plausibility import doubtful_angles
-from obbhbb_ros.plausibility import doubtful_scores
-from obbhbb_ros.plausibility import frames_text
+from obbhbb_ros.pipeline.plausibility import Doubt
+from obbhbb_ros.pipeline.plausibility import doubtful_angles
+from obbhbb_ros.pipeline.plausibility import doubtful_scores
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
-from obbhbb_ros.wire.camera import WireCamera
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import InputType
 from obbhbb_ros.wire.stamp import stamp_text
 
 OUTER = (HullRule('outer'),)
-
-OTHER_FRAME = 'other frame'
-"""Kind of the complaint that is worth saying once."""
-
-# Of one detection only one of them counts.
-_OUTSIDE = (
-    'crops_left_out.outside_image',
-    'detections_dropped.outside_image',
-    'detections_kept.outside_image',
-)
-
-
-@dataclass(frozen=True)
-class Output:
-    """
-    A topic for answers.
-
-    Attributes
-    ----------
-    publish : callable
-        Takes the bytes of a message.
-    wanted : callable
-        Returns whether anybody wants a message now.
-    """
-
-    publish: Callable[[bytes], object]
-    wanted: Callable[[], object] = lambda: True
-
-
-NOBODY = Output(lambda data: None, lambda: False)
-
-
-class Outputs(NamedTuple):
-    """The topics for the answers to a message."""
-
-    boxes: Output
-    crop_regions: Output
-    crop_sources: Output = NOBODY
-
-
-class ConversionOutcome(NamedTuple):
-    """
-    What became of a message.
-
-    Attributes
-    ----------
-    counts : dict of str to int
-        By key of the diagnostics.
-    complaints : dict of str
-        What went wrong, by kind.
-    image_size : tuple of int, optional
-        Width and height of the image, if they are known.
-    """
-
-    counts: dict[str, int]
-    complaints: dict[str, str]
-    image_size: tuple[int, int] | None = None
-
-
-def answer(
-    data: bytes,
-    input_type: InputType,
-    settings: ConversionSettings,
-    camera: CameraChoice[WireCamera] | None,
-    outputs: Outputs,
-) -> ConversionOutcome:
-    """
-    Convert one message under one snapshot of the settings, and publish what is wanted.
-
-    Parameters
-    ----------
-    data : bytes
-        The serialized message.
-    input_type : InputType
-        Its type.
-    settings : ConversionSettings
-        The settings.
-    camera : CameraChoice of WireCamera, optional
-        The camera of the image, by its stamp or the latest. It gives the size of the image where
-        the settings do not.
-    outputs : Outputs
-        Where the answers go. Each is asked once whether it is wanted.
-
-    Returns
-    -------
-    ConversionOutcome
-        What became of it. If no answer is wanted, the message is not read.
-
-    Raises
-    ------
-    obbhbb_ros.wire.buffer.WireError
-        If the bytes are no such message.
-    """
-    wants_boxes = bool(outputs.boxes.wanted())
-    wants_crops = (False, False) if wants_boxes else _crops_wanted(outputs)
-    if not wants_boxes and not any(wants_crops):
-        return ConversionOutcome({'messages_without_subscriber': 1}, {})
-    image_size, used = known_image_size(settings.image_size, camera)
-    if image_size is None and not settings.input_frame.is_image:
-        return ConversionOutcome(
-            {'messages_without_image_size': 1}, no_size_complaint(['no boxes'])
-        )
-    batch = Batch(data, input_type, settings, image_size)
-    if wants_boxes:
-        outputs.boxes.publish(batch.boxes_message())
-        # Only now, so that the boxes do not wait for it.
-        wants_crops = _crops_wanted(outputs)
-    counts, complaints = batch.counts | used, {}
-    if image_size is None:
-        missed = ['no crop regions'] if any(wants_crops) else []
-        if wants_boxes and settings.clip_boxes:
-            missed.append('boxes are not clipped')
-        if missed:
-            counts['messages_without_image_size'] = 1
-            complaints = no_size_complaint(missed)
-    elif any(wants_crops):
-        counts |= _publish_crops(batch, outputs, *wants_crops)
-    reported, texts = _reports(batch, camera if used else None, any(wants_crops))
-    return ConversionOutcome(counts | reported, complaints | texts, image_size)
-
-
-def _reports(
-    batch: Batch, camera: CameraChoice[WireCamera] | None, wants_crops: bool
-) -> tuple[dict[str, int], dict[str, str]]:
-    """Count what looks wrong in a message, and complain of it by kind."""
-    complaints = {}
-    if batch.complaint:
-        complaints['invalid detections'] = batch.complaint
-    counts, texts = camera_doubt(batch.frame_id, camera)
-    complaints |= texts
-    for doubt, text in batch.doubts(has_plan=batch.has_image_size and wants_crops):
-        counts[doubt.key] = len(doubt.rows)
-        complaints[doubt.key] = text
-    return counts, complaints
-
-
-def camera_doubt(
-    frame_id: str, camera: CameraChoice[WireCamera] | None
-) -> tuple[dict[str, int], dict[str, str]]:
-    """
-    Count detections of another frame than the camera that gave the size, and complain by kind.
-
-    Parameters
-    ----------
-    frame_id : str
-        Frame of the detections.
-    camera : CameraChoice of WireCamera, optional
-        The camera, if it gave the size of the image.
-    """
-    seen = ('camera_info', camera.camera.frame_id if camera else '')
-    text = frames_text(('detections', frame_id), seen)
-    return ({'frame_ids_differ.camera_info': 1}, {OTHER_FRAME: text}) if text else ({}, {})
-
-
-def outside_complaint(watch: OutsideWatch, outcome: ConversionOutcome) -> dict[str, str]:
-    """Complain, by kind, if most of the latest detections lie outside the image."""
-    counts, size = outcome.counts, outcome.image_size
-    if size is None:
-        return {}
-    outside = sum(counts.get(key, 0) for key in _OUTSIDE)
-    text = watch.note(outside, counts.get('detections_received', 0), size)
-    if not text:
-        return {}
-    return {
-        'outside': f'{text}: is camera_info, or image_width and image_height, that of the image '
-        'that the detector saw?'
-    }
-
-
-def known_image_size(
-    size: tuple[int, int], camera: CameraChoice[WireCamera] | None
-) -> tuple[tuple[int, int] | None, dict[str, int]]:
-    """
-    Return the size of the image, None if it is unknown, and count the camera that gave it.
-
-    Parameters
-    ----------
-    size : tuple of int
-        Width and height from the parameters, pixels; 0 where the camera decides.
-    camera : CameraChoice of WireCamera, optional
-        The camera of the image.
-    """
-    width, height = size
-    used = {}
-    if camera is not None and not (width and height):
-        used[camera.key] = 1
-        seen = camera.camera.image_size
-        width, height = width or seen[0], height or seen[1]
-    return ((width, height) if width and height else None), used
-
-
-def _crops_wanted(outputs: Outputs) -> tuple[bool, bool]:
-    """Ask whether anybody wants crop sources, and crop regions."""
-    return bool(outputs.crop_sources.wanted()), bool(outputs.crop_regions.wanted())
-
-
-def no_size_complaint(consequences: list[str]) -> dict[str, str]:
-    """Say what follows from an unknown size of the image."""
-    return {
-        'no image size': f'{", ".join(consequences)} without the size of the image: set '
-        'image_width and image_height, or publish camera_info'
-    }
-
-
-def _publish_crops(
-    batch: Batch, outputs: Outputs, wants_sources: bool, wants_regions: bool
-) -> dict[str, int]:
-    """Plan the crop regions, publish what is wanted, and count."""
-    plan = batch.plan_crops()
-    # The sources first, so that they are there when the regions are cut.
-    if wants_sources:
-        outputs.crop_sources.publish(batch.crop_sources_message(plan))
-    if wants_regions:
-        outputs.crop_regions.publish(batch.crop_regions_message(plan))
-    return batch.crop_counts(plan)
 
 
 class Batch:

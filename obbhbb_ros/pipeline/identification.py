@@ -9,9 +9,9 @@ What `ship_tracker` does to a message: bytes and settings in, bytes and counts o
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +21,15 @@ from obbhbb_ros.earth.pose_source import PoseSource
 from obbhbb_ros.earth.reprojection import Viewpoint
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
-from obbhbb_ros.pipeline import NOBODY
-from obbhbb_ros.pipeline import ConversionOutcome
-from obbhbb_ros.pipeline import Output
-from obbhbb_ros.pipeline import camera_doubt
-from obbhbb_ros.pipeline import known_image_size
-from obbhbb_ros.pipeline import no_size_complaint
-from obbhbb_ros.placing import PlacedShips
-from obbhbb_ros.placing import ShipPlacer
+from obbhbb_ros.pipeline.image_size import camera_doubt
+from obbhbb_ros.pipeline.image_size import known_image_size
+from obbhbb_ros.pipeline.image_size import no_size_complaint
+from obbhbb_ros.pipeline.outcome import NOBODY
+from obbhbb_ros.pipeline.outcome import Finding
+from obbhbb_ros.pipeline.outcome import Outcome
+from obbhbb_ros.pipeline.outcome import Output
+from obbhbb_ros.pipeline.placing import PlacedShips
+from obbhbb_ros.pipeline.placing import ShipPlacer
 from obbhbb_ros.reports.seen_ships import ShipCollector
 from obbhbb_ros.settings.ship_tracker import TrackerSettings
 from obbhbb_ros.tracking.matcher import ShipMatcher
@@ -46,7 +47,7 @@ from obbhbb_ros.wire.stamp import stamp_text
 
 
 class TrackerOutputs(NamedTuple):
-    """The topics for the answers to a message."""
+    """The topics for the answers of `ship_tracker`."""
 
     tracked: Output
     positions: Output = NOBODY
@@ -57,8 +58,51 @@ class TrackerOutputs(NamedTuple):
         return any(output.wanted() for output in self)
 
 
-Finding: TypeAlias = tuple[dict[str, int], dict[str, str]]
-"""Counts by key of the diagnostics, and complaints by kind."""
+@dataclass(frozen=True, eq=False)
+class TrackedImage:
+    """
+    The detections of an image, and which of them are passed on.
+
+    Attributes
+    ----------
+    detections : Detections
+        The message.
+    boxes : OrientedBoxes
+        All its boxes, pixels of the image.
+    placed : PlacedShips or None
+        Where they are, if that is asked for.
+    rows : ndarray of int, shape (M,)
+        The detections that are passed on.
+    size : tuple of int or None
+        Width and height of the image, if they are known.
+    """
+
+    detections: Detections
+    boxes: OrientedBoxes
+    placed: PlacedShips | None
+    rows: NDArray[np.intp]
+    size: tuple[int, int] | None
+
+    @property
+    def stamp(self) -> Stamp:
+        """Stamp of the image."""
+        return self.detections.stamp
+
+    @property
+    def passed_boxes(self) -> OrientedBoxes:
+        """The boxes that are passed on."""
+        return self.boxes[self.rows]
+
+    def passed(self, texts: Sequence[str]) -> list[str]:
+        """Choose the texts of the detections that are passed on."""
+        return [texts[row] for row in self.rows.tolist()]
+
+    def are_whole(self) -> NDArray[np.bool_]:
+        """Tell which ships that are passed on lie inside the image, as far as its size is known."""
+        corners = self.passed_boxes.corners
+        inside = (corners > 1.0) & (corners < np.array(self.size or (0, 0)) - 1.0)
+        whole: NDArray[np.bool_] = np.asarray(inside.all(axis=(1, 2)))
+        return whole
 
 
 class ShipIdentifier:
@@ -102,7 +146,7 @@ class ShipIdentifier:
         settings: TrackerSettings,
         camera: CameraChoice[WireCamera] | None,
         outputs: TrackerOutputs,
-    ) -> ConversionOutcome:
+    ) -> Outcome:
         """
         Publish a message with ids, and where its ships are, if anybody wants it.
 
@@ -122,7 +166,7 @@ class ShipIdentifier:
 
         Returns
         -------
-        ConversionOutcome
+        Outcome
             What became of it. If no answer is wanted, and no list, the message is not read.
 
         Raises
@@ -131,85 +175,72 @@ class ShipIdentifier:
             If the bytes are no such message.
         """
         if self._collector is None and not outputs.wanted():
-            return ConversionOutcome({'messages_without_subscriber': 1}, {})
+            return Outcome({'messages_without_subscriber': 1}, {})
         detections = Detections(data, input_type)
-        image_size, used = known_image_size(settings.image_size, camera)
-        boxes = _image_boxes(detections, settings, image_size)
-        placed = self._placed(detections.stamp, boxes, settings, camera if image_size else None)
-        rows = np.arange(len(detections))
-        if placed is not None and settings.place is not None:
-            rows = np.flatnonzero(placed.within(settings.place.lengths))
-        own = detections.ids()
-        passed = [own[row] for row in rows.tolist()]
-        ids = passed if settings.keeps_ids else [''] * len(passed)
-        findings = [
-            ({'detections_received': len(own), 'ids_kept': sum(map(bool, ids))}, {}),
-            (used, {}),
-            _placing(placed, len(own) - len(rows)),
-            self._id_doubts(ids),
-            self._stamp_doubt(detections.stamp),
-            camera_doubt(detections.frame_id, camera if used else None),
-        ]
-        if image_size is None:
-            no_size = no_size_complaint(['ships get no ids'])
-            findings.append(({'messages_without_image_size': 1}, no_size))
-        elif not ids or not all(ids):
-            passed_boxes = boxes[rows]
-            numbers = self._numbers(
-                detections.stamp, passed_boxes, settings.memory, image_size, self._carry(placed)
-            )
-            findings.append(_untracked(ids, numbers, passed_boxes.valid, detections.stamp))
-            ids = self._filled(ids, numbers)
-        if placed is not None:
+        size, used = known_image_size(settings.image_size, camera)
+        image = self._image(detections, settings, camera, size)
+        ids, tracked = self._tracked(image, settings)
+        if image.placed is not None:
             # First, so that they are there when the chips are cut.
-            _publish_places(placed, detections, ids, rows, outputs)
-            findings.append(self._collected(placed, detections, boxes, ids, rows, image_size))
-        outputs.tracked.publish(_with_ids(detections, own, ids, rows, settings))
-        counts: dict[str, int] = {}
-        complaints: dict[str, str] = {}
-        for counted, texts in findings:
-            counts |= counted
-            complaints |= texts
-        return ConversionOutcome(counts, complaints, image_size)
+            _publish_places(image.placed, image, ids, outputs)
+        outputs.tracked.publish(_with_ids(image, ids, settings))
+        findings = (
+            Finding({'detections_received': len(detections)}),
+            Finding(used),
+            _placing(image),
+            self._stamp_doubt(image.stamp),
+            camera_doubt(detections.frame_id, camera if used else None),
+            *tracked,
+            self._collected(image, ids),
+        )
+        return Outcome.of(findings, size)
 
-    def _placed(
+    def _image(
         self,
-        stamp: Stamp,
-        boxes: OrientedBoxes,
+        detections: Detections,
         settings: TrackerSettings,
         camera: CameraChoice[WireCamera] | None,
-    ) -> PlacedShips | None:
-        """Place the ships of an image on Earth; None if that is not asked for."""
+        size: tuple[int, int] | None,
+    ) -> TrackedImage:
+        """Place the ships of an image, where that is asked for, and choose those to pass on."""
+        boxes, rows = _image_boxes(detections, settings, size), np.arange(len(detections))
         if self._placer is None or settings.place is None:
-            return None
-        known = None if camera is None else camera.camera
-        return self._placer.place(boxes, stamp, known, settings.place)
+            return TrackedImage(detections, boxes, None, rows, size)
+        known = camera.camera if camera and size else None
+        placed = self._placer.place(boxes, detections.stamp, known, settings.place)
+        rows = np.flatnonzero(placed.within(settings.place.lengths))
+        return TrackedImage(detections, boxes, placed, rows, size)
 
-    def _collected(
-        self,
-        placed: PlacedShips,
-        detections: Detections,
-        boxes: OrientedBoxes,
-        ids: Sequence[str],
-        rows: NDArray[np.intp],
-        image_size: tuple[int, int] | None,
-    ) -> Finding:
+    def _tracked(
+        self, image: TrackedImage, settings: TrackerSettings
+    ) -> tuple[list[str], list[Finding]]:
+        """Return the ids of the detections that are passed on: their own, or those of ships."""
+        ids = image.passed(image.detections.ids())
+        if not settings.keeps_ids:
+            ids = [''] * len(ids)
+        findings = [Finding({'ids_kept': sum(map(bool, ids))}), self._id_doubts(ids)]
+        if image.size is None:
+            no_size = no_size_complaint(['ships get no ids'])
+            findings.append(Finding({'messages_without_image_size': 1}, no_size))
+        elif not ids or not all(ids):
+            numbers = self._numbers(image, image.size, settings.memory)
+            findings.append(_untracked(ids, numbers, image))
+            ids = self._filled(ids, numbers)
+        return ids, findings
+
+    def _collected(self, image: TrackedImage, ids: Sequence[str]) -> Finding:
         """Note the ships of an image for the next list, and count those that are not in it."""
-        if self._collector is None or image_size is None:
-            return {}, {}
-        classes = detections.class_ids()
-        corners = boxes[rows].corners
-        inside = (corners > 1.0) & (corners < np.array(image_size) - 1.0)
-        whole: NDArray[np.bool_] = np.asarray(inside.all(axis=(1, 2)))
+        if self._collector is None or image.placed is None or image.size is None:
+            return Finding({})
         unlisted = self._collector.note(
-            nanoseconds_of(detections.stamp),
+            nanoseconds_of(image.stamp),
             ids,
-            [classes[row] for row in rows.tolist()],
-            detections.scores()[rows],
-            whole,
-            placed.placement[rows],
+            image.passed(image.detections.class_ids()),
+            image.detections.scores()[image.rows],
+            image.are_whole(),
+            image.placed.placement[image.rows],
         )
-        return ({'ships_unlisted': unlisted}, {}) if unlisted else ({}, {})
+        return Finding({'ships_unlisted': unlisted} if unlisted else {})
 
     def _filled(self, ids: Sequence[str], numbers: NDArray[np.int64]) -> list[str]:
         """Give ids to detections without one, by their numbers."""
@@ -219,24 +250,20 @@ class ShipIdentifier:
         ]
 
     def _numbers(
-        self,
-        stamp: Stamp,
-        boxes: OrientedBoxes,
-        memory: float,
-        image_size: tuple[int, int],
-        carry: Carry | None,
+        self, image: TrackedImage, size: tuple[int, int], memory: float
     ) -> NDArray[np.int64]:
         """Follow the boxes of an image; -1 for those that are not followed."""
         self._matcher.memory = memory
+        boxes = image.passed_boxes
         valid, numbers = boxes.valid, np.full(len(boxes), -1, np.int64)
         x, y = boxes.center[valid].T
         numbers[valid] = self._matcher.track(
-            nanoseconds_of(stamp) / 1e9,
+            nanoseconds_of(image.stamp) / 1e9,
             x + 1j * y,
             boxes.length[valid],
             boxes.theta[valid],
-            complex(*image_size),
-            carry,
+            complex(*size),
+            self._carry(image.placed),
         )
         return numbers
 
@@ -250,7 +277,7 @@ class ShipIdentifier:
     def _id_doubts(self, ids: Sequence[str]) -> Finding:
         """Count ids that are no tracks, and complain of them."""
         doubts = [*self._watch.note(ids)]
-        return (
+        return Finding(
             {doubt.key: doubt.detections for doubt in doubts},
             {doubt.key: doubt.text for doubt in doubts},
         )
@@ -259,34 +286,33 @@ class ShipIdentifier:
         """Count and report a stamp that is not later than the last one."""
         last, self._stamp = self._stamp, stamp
         if last is None or stamp > last:
-            return {}, {}
+            return Finding({})
         text = (
             f'a message has the stamp {stamp_text(stamp)}, the one before it '
             f'{stamp_text(last)}: ships are followed by stamps, which have to grow'
         )
-        return {'stamps_not_later': 1}, {'stamps': text}
+        return Finding({'stamps_not_later': 1}, {'stamps': text})
 
 
-def _untracked(
-    ids: Sequence[str], numbers: NDArray[np.int64], valid: NDArray[np.bool_], stamp: Stamp
-) -> Finding:
+def _untracked(ids: Sequence[str], numbers: NDArray[np.int64], image: TrackedImage) -> Finding:
     """Count the detections without own id that get one, and those that do not, by reason."""
-    without = np.array([not own for own in ids], np.bool_)
+    valid, without = image.passed_boxes.valid, np.array([not own for own in ids], np.bool_)
     untracked = without & (numbers < 0)
-    found = {
+    reasons = {
         'ids_assigned': without & ~untracked,
         'detections_untracked.invalid': untracked & ~valid,
         'detections_untracked.not_followed': untracked & valid,
     }
-    counts = {key: int(rows.sum()) for key, rows in found.items() if rows.any()}
+    counts = {key: int(rows.sum()) for key, rows in reasons.items() if rows.any()}
     if not untracked.any():
-        return counts, {}
+        return Finding(counts)
+    first = int(untracked.argmax())
     text = (
-        f'{np.count_nonzero(untracked)} of {len(ids)} detections at stamp {stamp_text(stamp)} get '
-        f'no id: index {untracked.argmax()} is '
-        f'{"not followed" if valid[untracked.argmax()] else "invalid"}'
+        f'{np.count_nonzero(untracked)} of {len(ids)} detections at stamp '
+        f'{stamp_text(image.stamp)} get no id: index {image.rows[first]} is '
+        f'{"not followed" if valid[first] else "invalid"}'
     )
-    return counts, {'untracked': text}
+    return Finding(counts, {'untracked': text})
 
 
 def _image_boxes(
@@ -305,45 +331,37 @@ def _carried(before: Viewpoint, after: Viewpoint, places: Places) -> Places:
     return carried
 
 
-def _placing(placed: PlacedShips | None, left_out: int) -> Finding:
+def _placing(image: TrackedImage) -> Finding:
     """Count the ships without a place, and those of another length."""
-    if placed is None:
-        return {}, {}
-    counts = dict(placed.counts)
-    if left_out:
-        counts['detections_left_out.length'] = left_out
-    return counts, placed.complaints
+    if image.placed is None:
+        return Finding({})
+    counts, complaints = image.placed.finding
+    if left_out := len(image.detections) - len(image.rows):
+        counts = {**counts, 'detections_left_out.length': left_out}
+    return Finding(counts, complaints)
 
 
 def _publish_places(
-    placed: PlacedShips,
-    detections: Detections,
-    ids: Sequence[str],
-    rows: NDArray[np.intp],
-    outputs: TrackerOutputs,
+    placed: PlacedShips, image: TrackedImage, ids: Sequence[str], outputs: TrackerOutputs
 ) -> None:
     """Publish where ships are, and the pose of the image."""
     if outputs.image_pose.wanted() and (pose := placed.pose_message()):
         outputs.image_pose.publish(pose)
     if outputs.positions.wanted():
-        outputs.positions.publish(placed.message(detections, ids, rows))
+        outputs.positions.publish(placed.message(image.detections, ids, image.rows))
 
 
-def _with_ids(
-    detections: Detections,
-    own: Sequence[str],
-    ids: Sequence[str],
-    rows: NDArray[np.intp],
-    settings: TrackerSettings,
-) -> bytes:
-    """Write a message of some detections with ids; of polygons, with their boxes."""
+def _with_ids(image: TrackedImage, ids: Sequence[str], settings: TrackerSettings) -> bytes:
+    """Write a message of the detections that are passed on, with ids; of polygons, their boxes."""
+    detections = image.detections
     if detections.polygons is not None:
-        return detections.with_ids(ids, _boxes_of_polygons(detections, settings), rows)
+        return detections.with_ids(ids, _boxes_of_polygons(detections, settings), image.rows)
+    own = detections.ids()
     if ids == own:
         # Ids that are not UTF-8 remain.
         none = np.zeros(len(own), np.bool_)
         return detections.rewrite(np.zeros((len(own), 4)), none)
-    return detections.with_ids(ids, rows=rows)
+    return detections.with_ids(ids, rows=image.rows)
 
 
 def _boxes_of_polygons(detections: Detections, settings: TrackerSettings) -> FloatArray:

@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 
-from obbhbb_ros.plausibility import OutsideWatch
-from obbhbb_ros.plausibility import doubtful_angles
-from obbhbb_ros.plausibility import doubtful_scores
-from obbhbb_ros.plausibility import frames_text
+from obbhbb_ros.pipeline.plausibility import OutsideWatch
+from obbhbb_ros.pipeline.plausibility import doubtful_angles
+from obbhbb_ros.pipeline.plausibility import doubtful_scores
+from obbhbb_ros.pipeline.plausibility import frames_text
 
 
 @pytest.mark.parametrize(
