@@ -19,7 +19,7 @@ from harness import values_of
 from ships import detections
 from ships import fleet
 
-from obbhbb_ros.nodes.last_run import read_run
+from obbhbb_ros.nodes.running.last_run import read_run
 
 WATCHDOG = 'watchdog: no turn of the executor for 2 s, in stuck_answer, <string>:14'
 # By name: how it crashes, its exit code, and what the next run reports.

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-OURS = 'obbhbb_ros.nodes.executor:ExpressExecutor'
+OURS = 'obbhbb_ros.nodes.running.executor:ExpressExecutor'
 
 
 def executor_class(name: str) -> Callable[..., Any]:
@@ -23,13 +23,13 @@ def executor_class(name: str) -> Callable[..., Any]:
 
 def main() -> int:
     """Run a node as its executable does, but by the executor of the first argument."""
-    from obbhbb_ros.nodes.executables import NODES
-    from obbhbb_ros.nodes.stop import Stop
+    from obbhbb_ros.nodes.running.executables import NODES
+    from obbhbb_ros.nodes.running.stop import Stop
 
     # Before libraries start threads, as the executables do.
     stop = Stop()
     executor_name, node_name = sys.argv.pop(1), sys.argv.pop(1)
-    process = import_module('obbhbb_ros.nodes.process')
+    process = import_module('obbhbb_ros.nodes.running.process')
 
     def make_executor(node: Any) -> Any:
         executor = executor_class(executor_name)(context=node.context)

@@ -52,7 +52,7 @@ from ships import detections
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.nodes.node_topics import message_type
+from obbhbb_ros.nodes.lifecycle.node_topics import message_type
 from obbhbb_ros.nodes.play_detections import image_message
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.parameter_file import yaml_value

@@ -12,11 +12,11 @@ import os.path
 import sys
 from importlib import import_module
 
-from obbhbb_ros.nodes.executables import NODES
-from obbhbb_ros.nodes.executables import PAYLOAD
-from obbhbb_ros.nodes.failure import REASONS
-from obbhbb_ros.nodes.failure import cannot_start
-from obbhbb_ros.nodes.stop import Stop
+from obbhbb_ros.nodes.running.executables import NODES
+from obbhbb_ros.nodes.running.executables import PAYLOAD
+from obbhbb_ros.nodes.running.failure import REASONS
+from obbhbb_ros.nodes.running.failure import cannot_start
+from obbhbb_ros.nodes.running.stop import Stop
 
 
 def run_executable(executable: str) -> int:
@@ -25,10 +25,10 @@ def run_executable(executable: str) -> int:
         stop = Stop()
         names, arguments = [executable], not_for_ros(sys.argv[1:])
         if executable == PAYLOAD:
-            names = import_module('obbhbb_ros.nodes.payload').chosen(arguments)
+            names = import_module('obbhbb_ros.nodes.running.payload').chosen(arguments)
         elif arguments:
-            import_module('obbhbb_ros.nodes.usage').answer(executable, arguments)
-        process = import_module('obbhbb_ros.nodes.process')
+            import_module('obbhbb_ros.nodes.running.usage').answer(executable, arguments)
+        process = import_module('obbhbb_ros.nodes.running.process')
         modules = {name: import_module(f'obbhbb_ros.nodes.{name}') for name in names}
     except REASONS as error:
         return cannot_start(error)

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from obbhbb_ros.nodes.monitor import Monitor
-from obbhbb_ros.nodes.node_topics import NodeTopics
-from obbhbb_ros.nodes.node_topics import message_class
+from obbhbb_ros.nodes.lifecycle.monitor import Monitor
+from obbhbb_ros.nodes.lifecycle.node_topics import NodeTopics
+from obbhbb_ros.nodes.lifecycle.node_topics import message_class
 from obbhbb_ros.overlay.overlay_frame import OverlayFrame
 from obbhbb_ros.wire.image_annotations import MESSAGES
 from obbhbb_ros.wire.image_annotations import AnnotationWriter

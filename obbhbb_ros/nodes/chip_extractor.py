@@ -47,10 +47,10 @@ from obbhbb_ros.nodes.camera_info import sized
 from obbhbb_ros.nodes.chip_topics import ChipTopics
 from obbhbb_ros.nodes.chip_topics import FrameTopics
 from obbhbb_ros.nodes.image_input import image_input
-from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.node_topics import TopicInput
-from obbhbb_ros.nodes.node_topics import reliable
-from obbhbb_ros.nodes.parts import steady_timer
+from obbhbb_ros.nodes.lifecycle.managed import ManagedNode
+from obbhbb_ros.nodes.lifecycle.node_topics import TopicInput
+from obbhbb_ros.nodes.lifecycle.node_topics import reliable
+from obbhbb_ros.nodes.lifecycle.parts import steady_timer
 from obbhbb_ros.nodes.positions_input import PositionsInput
 from obbhbb_ros.nodes.spool_report import SpoolReport
 from obbhbb_ros.nodes.spool_report import kind_of

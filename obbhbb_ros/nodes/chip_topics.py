@@ -19,7 +19,7 @@ from obbhbb_ros.downlink.chips import EncodedChip
 from obbhbb_ros.downlink.chips import format_text
 from obbhbb_ros.downlink.stamps import ChipStamps
 from obbhbb_ros.nodes.camera_info import region_of_interest
-from obbhbb_ros.nodes.node_topics import TopicOutput
+from obbhbb_ros.nodes.lifecycle.node_topics import TopicOutput
 from obbhbb_ros.wire.image import WireImage
 from obbhbb_ros.wire.plans import WirePlan
 

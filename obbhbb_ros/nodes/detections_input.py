@@ -15,9 +15,9 @@ from obbhbb_ros.downlink.cameras import CameraChoice
 from obbhbb_ros.downlink.cameras import CameraMemory
 from obbhbb_ros.downlink.frame_queue import FrameQueue
 from obbhbb_ros.downlink.joiner import CAMERAS_KEPT
-from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.node_topics import reliable
-from obbhbb_ros.nodes.parts import Part
+from obbhbb_ros.nodes.lifecycle.managed import ManagedNode
+from obbhbb_ros.nodes.lifecycle.node_topics import reliable
+from obbhbb_ros.nodes.lifecycle.parts import Part
 from obbhbb_ros.pipeline.image_size import OTHER_FRAME
 from obbhbb_ros.pipeline.outcome import Outcome
 from obbhbb_ros.wire.camera import WireCamera

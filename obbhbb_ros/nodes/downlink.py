@@ -11,10 +11,10 @@ from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Bool
 
 from obbhbb_ros.downlink.contact_watch import ContactWatch
+from obbhbb_ros.nodes.lifecycle.managed import ManagedNode
+from obbhbb_ros.nodes.lifecycle.node_topics import reliable
+from obbhbb_ros.nodes.lifecycle.reporter import plain_yaml
 from obbhbb_ros.nodes.list_report import list_facts
-from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.node_topics import reliable
-from obbhbb_ros.nodes.reporter import plain_yaml
 from obbhbb_ros.nodes.spool_report import SpoolReport
 from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.settings.downlink import DOWNLINK

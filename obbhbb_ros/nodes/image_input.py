@@ -11,8 +11,8 @@ from sensor_msgs.msg import CompressedImage
 from sensor_msgs.msg import Image
 
 from obbhbb_ros.downlink.decoding import AnyImage
-from obbhbb_ros.nodes.node_topics import NodeTopics
-from obbhbb_ros.nodes.node_topics import TopicInput
+from obbhbb_ros.nodes.lifecycle.node_topics import NodeTopics
+from obbhbb_ros.nodes.lifecycle.node_topics import TopicInput
 from obbhbb_ros.settings.common import IMAGE_TRANSPORT
 from obbhbb_ros.wire.image import read_compressed_image
 from obbhbb_ros.wire.image import read_image

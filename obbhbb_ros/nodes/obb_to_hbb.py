@@ -9,7 +9,7 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.downlink.cameras import CameraChoice
 from obbhbb_ros.nodes.detections_input import DetectionsInput
-from obbhbb_ros.nodes.managed import ManagedNode
+from obbhbb_ros.nodes.lifecycle.managed import ManagedNode
 from obbhbb_ros.pipeline.conversion import Outputs
 from obbhbb_ros.pipeline.conversion import answer
 from obbhbb_ros.pipeline.conversion import outside_complaint

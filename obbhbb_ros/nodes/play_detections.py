@@ -46,10 +46,10 @@ from obbhbb_ros.labels.image_labels import BowSource
 from obbhbb_ros.labels.image_labels import ImageSize
 from obbhbb_ros.labels.passes import inside_image
 from obbhbb_ros.labels.passes import pass_over
-from obbhbb_ros.nodes.given_parameters import report_unknown
-from obbhbb_ros.nodes.live_parameters import LiveParameters
-from obbhbb_ros.nodes.node_topics import create_output
-from obbhbb_ros.nodes.node_topics import message_type
+from obbhbb_ros.nodes.lifecycle.given_parameters import report_unknown
+from obbhbb_ros.nodes.lifecycle.live_parameters import LiveParameters
+from obbhbb_ros.nodes.lifecycle.node_topics import create_output
+from obbhbb_ros.nodes.lifecycle.node_topics import message_type
 from obbhbb_ros.settings.play_detections import PLAY_DETECTIONS
 from obbhbb_ros.settings.play_detections import PlayerSettings
 from obbhbb_ros.wire.layouts import INPUT_TYPES

@@ -20,9 +20,9 @@ from sensor_msgs.msg import NavSatFix
 from obbhbb_ros.earth.pose import PoseError
 from obbhbb_ros.earth.pose_source import CameraPoses
 from obbhbb_ros.earth.pose_source import VehiclePoses
-from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.node_topics import reliable
-from obbhbb_ros.nodes.parts import Part
+from obbhbb_ros.nodes.lifecycle.managed import ManagedNode
+from obbhbb_ros.nodes.lifecycle.node_topics import reliable
+from obbhbb_ros.nodes.lifecycle.parts import Part
 from obbhbb_ros.settings.ship_tracker import VEHICLE
 from obbhbb_ros.wire.poses import read_attitude
 from obbhbb_ros.wire.poses import read_fix

@@ -13,9 +13,9 @@ from vision_msgs.msg import Detection3DArray
 from obbhbb_ros.downlink.cameras import CameraMemory
 from obbhbb_ros.earth.pose import PoseError
 from obbhbb_ros.earth.reported import ShipPlaces
-from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.node_topics import reliable
-from obbhbb_ros.nodes.parts import Part
+from obbhbb_ros.nodes.lifecycle.managed import ManagedNode
+from obbhbb_ros.nodes.lifecycle.node_topics import reliable
+from obbhbb_ros.nodes.lifecycle.parts import Part
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.poses import read_pose
 from obbhbb_ros.wire.positions import read_positions

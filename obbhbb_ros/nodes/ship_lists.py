@@ -6,10 +6,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from obbhbb_ros.nodes.lifecycle.managed import ManagedNode
+from obbhbb_ros.nodes.lifecycle.parts import Part
+from obbhbb_ros.nodes.lifecycle.parts import steady_timer
 from obbhbb_ros.nodes.list_report import list_facts
-from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.parts import Part
-from obbhbb_ros.nodes.parts import steady_timer
 from obbhbb_ros.nodes.spool_report import kind_of
 from obbhbb_ros.reports.seen_ships import ShipCollector
 from obbhbb_ros.reports.ship_report import MAX_SHIPS

@@ -12,9 +12,9 @@ from vision_msgs.msg import Detection3DArray
 from obbhbb_ros.downlink.cameras import CameraChoice
 from obbhbb_ros.nodes.detections_input import DetectionsInput
 from obbhbb_ros.nodes.detections_input import Waits
-from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.node_topics import TopicOutput
-from obbhbb_ros.nodes.parts import steady_timer
+from obbhbb_ros.nodes.lifecycle.managed import ManagedNode
+from obbhbb_ros.nodes.lifecycle.node_topics import TopicOutput
+from obbhbb_ros.nodes.lifecycle.parts import steady_timer
 from obbhbb_ros.nodes.pose_inputs import PoseInputs
 from obbhbb_ros.nodes.ship_lists import ShipLists
 from obbhbb_ros.pipeline.identification import ShipIdentifier

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from obbhbb_ros.nodes.reporter import Reporter
+from obbhbb_ros.nodes.lifecycle.reporter import Reporter
 from obbhbb_ros.spool.access import SpoolAccess
 from obbhbb_ros.spool.books import Status
 

@@ -67,6 +67,8 @@ class TrackedImage:
     ----------
     detections : Detections
         The message.
+    own_ids : list of str
+        The ids of all its detections.
     boxes : OrientedBoxes
         All its boxes, pixels of the image.
     placed : PlacedShips or None
@@ -78,6 +80,7 @@ class TrackedImage:
     """
 
     detections: Detections
+    own_ids: list[str]
     boxes: OrientedBoxes
     placed: PlacedShips | None
     rows: NDArray[np.intp]
@@ -204,18 +207,18 @@ class ShipIdentifier:
     ) -> TrackedImage:
         """Place the ships of an image, where that is asked for, and choose those to pass on."""
         boxes, rows = _image_boxes(detections, settings, size), np.arange(len(detections))
-        if self._placer is None or settings.place is None:
-            return TrackedImage(detections, boxes, None, rows, size)
-        known = camera.camera if camera and size else None
-        placed = self._placer.place(boxes, detections.stamp, known, settings.place)
-        rows = np.flatnonzero(placed.within(settings.place.lengths))
-        return TrackedImage(detections, boxes, placed, rows, size)
+        own_ids, placed = detections.ids(), None
+        if self._placer is not None and settings.place is not None:
+            known = camera.camera if camera and size else None
+            placed = self._placer.place(boxes, detections.stamp, known, settings.place)
+            rows = np.flatnonzero(placed.within(settings.place.lengths))
+        return TrackedImage(detections, own_ids, boxes, placed, rows, size)
 
     def _tracked(
         self, image: TrackedImage, settings: TrackerSettings
     ) -> tuple[list[str], list[Finding]]:
         """Return the ids of the detections that are passed on: their own, or those of ships."""
-        ids = image.passed(image.detections.ids())
+        ids = image.passed(image.own_ids)
         if not settings.keeps_ids:
             ids = [''] * len(ids)
         findings = [Finding({'ids_kept': sum(map(bool, ids))}), self._id_doubts(ids)]
@@ -356,11 +359,10 @@ def _with_ids(image: TrackedImage, ids: Sequence[str], settings: TrackerSettings
     detections = image.detections
     if detections.polygons is not None:
         return detections.with_ids(ids, _boxes_of_polygons(detections, settings), image.rows)
-    own = detections.ids()
-    if ids == own:
+    if ids == image.own_ids:
         # Ids that are not UTF-8 remain.
-        none = np.zeros(len(own), np.bool_)
-        return detections.rewrite(np.zeros((len(own), 4)), none)
+        none = np.zeros(len(ids), np.bool_)
+        return detections.rewrite(np.zeros((len(ids), 4)), none)
     return detections.with_ids(ids, rows=image.rows)
 
 

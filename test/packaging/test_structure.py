@@ -19,8 +19,8 @@ TREES = {path: ast.parse(path.read_text(encoding='utf-8')) for path in MODULES}
 
 def room_of(path: Path) -> str:
     """Return the folder or module of the package, as the table names it."""
-    first, *rest = path.relative_to(PACKAGE).parts
-    return f'{first}/' if rest else first
+    place = path.relative_to(PACKAGE)
+    return place.name if place.parent == Path() else f'{place.parent}/'
 
 
 def imported(tree: ast.AST) -> Iterator[str]:
@@ -39,10 +39,12 @@ def imported_rooms() -> dict[str, set[str]]:
     rooms: dict[str, set[str]] = {room_of(path): set() for path in MODULES}
     for path, tree in TREES.items():
         for module in imported(tree):
-            package, _, rest = module.partition('.')
-            if package == PACKAGE.name and rest:
-                name = rest.partition('.')[0]
-                target = f'{name}/' if (PACKAGE / name).is_dir() else f'{name}.py'
+            package, *names = module.split('.')
+            place = PACKAGE.joinpath(*names)
+            if package == PACKAGE.name and names:
+                target = room_of(
+                    place / '__init__.py' if place.is_dir() else place.with_suffix('.py')
+                )
                 rooms[room_of(path)] |= {target} & rooms.keys() - {room_of(path)}
     return rooms
 
@@ -82,7 +84,7 @@ def test_only_nodes_and_launch_files_import_ros() -> None:
         for path, tree in TREES.items()
         if ros & {module.partition('.')[0] for module in imported(tree)}
     }
-    assert users == {'nodes/', 'launching.py'}
+    assert users == {'nodes/', 'nodes/lifecycle/', 'nodes/running/', 'launching.py'}
 
 
 def test_no_two_classes_have_one_name() -> None:

@@ -20,7 +20,7 @@ from ships import detections
 from ships import fleet
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.nodes.node_topics import message_class
+from obbhbb_ros.nodes.lifecycle.node_topics import message_class
 
 # These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once

@@ -24,9 +24,9 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_msgs.msg import Bool
 
-from obbhbb_ros.nodes import process
-from obbhbb_ros.nodes.executor import ExpressExecutor
-from obbhbb_ros.nodes.executor import UnknownRclpyError
+from obbhbb_ros.nodes.running import process
+from obbhbb_ros.nodes.running.executor import ExpressExecutor
+from obbhbb_ros.nodes.running.executor import UnknownRclpyError
 
 # These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once

@@ -26,9 +26,9 @@ from std_msgs.msg import Bool
 from std_msgs.msg import Int32
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.nodes.executor import ExpressExecutor
-from obbhbb_ros.nodes.following import FollowingSubscription
-from obbhbb_ros.nodes.following import quality_to_hear
+from obbhbb_ros.nodes.lifecycle.following import FollowingSubscription
+from obbhbb_ros.nodes.lifecycle.following import quality_to_hear
+from obbhbb_ros.nodes.running.executor import ExpressExecutor
 
 # These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once

@@ -9,8 +9,8 @@ import pytest
 from harness import Site
 from rclpy.lifecycle import TransitionCallbackReturn
 
-from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.parts import Part
+from obbhbb_ros.nodes.lifecycle.managed import ManagedNode
+from obbhbb_ros.nodes.lifecycle.parts import Part
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 
 # These tests depend on rclpy alone, which is the same in all environments.

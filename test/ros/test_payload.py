@@ -22,9 +22,9 @@ from sensor_msgs.msg import Image
 from ships import detections
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.nodes.executables import PAYLOAD_NODES
-from obbhbb_ros.nodes.last_run import read_run
 from obbhbb_ros.nodes.play_detections import image_message
+from obbhbb_ros.nodes.running.executables import PAYLOAD_NODES
+from obbhbb_ros.nodes.running.last_run import read_run
 
 # They depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once

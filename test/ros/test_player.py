@@ -29,7 +29,7 @@ from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import read_labels
-from obbhbb_ros.nodes.node_topics import message_type
+from obbhbb_ros.nodes.lifecycle.node_topics import message_type
 from obbhbb_ros.nodes.play_detections import HARBOUR_SIZE
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 

@@ -290,7 +290,7 @@ def test_the_end_is_clean_however_many_signals_arrive_and_when(
 
 
 STUCK = """
-import time; from obbhbb_ros.nodes.stop import Stop; stop = Stop(); stop.patience = 1.5
+import time; from obbhbb_ros.nodes.running.stop import Stop; stop = Stop(); stop.patience = 1.5
 print('stuck', flush=True); time.sleep(60)
 """
 
@@ -400,8 +400,8 @@ def test_an_argument_that_the_locale_cannot_read_ends_the_start(
 
 FAILING = """
 import sys
-from obbhbb_ros.nodes.process import run
-from obbhbb_ros.nodes.stop import Stop
+from obbhbb_ros.nodes.running.process import run
+from obbhbb_ros.nodes.running.stop import Stop
 
 def make_node():
     raise {error}

@@ -31,11 +31,11 @@ from harness import values_of
 from ships import detections
 from ships import fleet
 
-from obbhbb_ros.nodes.last_run import LastRun
-from obbhbb_ros.nodes.last_run import Run
-from obbhbb_ros.nodes.last_run import last_run
-from obbhbb_ros.nodes.last_run import read_run
-from obbhbb_ros.nodes.state_file import open_state_file
+from obbhbb_ros.nodes.running.last_run import LastRun
+from obbhbb_ros.nodes.running.last_run import Run
+from obbhbb_ros.nodes.running.last_run import last_run
+from obbhbb_ros.nodes.running.last_run import read_run
+from obbhbb_ros.nodes.running.state_file import open_state_file
 
 # These tests depend on rclpy alone, which is the same in all environments.
 pytestmark = pytest.mark.once
@@ -158,11 +158,11 @@ def test_every_managed_node_reports_its_last_run(
 
 STUCK_AT_THE_END = """
 import sys, time
-from obbhbb_ros.nodes import stop
+from obbhbb_ros.nodes.running import stop
 # Before libraries start threads, as the executables do.
 halt = stop.Stop()
 stop.RUNNING = 1.5
-from obbhbb_ros.nodes import process
+from obbhbb_ros.nodes.running import process
 from obbhbb_ros.nodes.obb_to_hbb import ObbToHbb
 ObbToHbb.destroy_node = lambda self: time.sleep(1_000_000)
 sys.exit(process.run({'obb_to_hbb': ObbToHbb}, halt))
@@ -192,7 +192,7 @@ import rclpy
 from rclpy.parameter import Parameter
 from obbhbb_ros.nodes.downlink import Downlink
 from obbhbb_ros.nodes.obb_to_hbb import ObbToHbb
-from obbhbb_ros.nodes.supervision import Supervision
+from obbhbb_ros.nodes.running.supervision import Supervision
 
 def parameters(name, timeout):
     values = {'state.path': f'{sys.argv[1]}/{name}.json', 'watchdog_timeout': timeout,
@@ -228,7 +228,7 @@ from pathlib import Path
 import rclpy
 from rclpy.parameter import Parameter
 from obbhbb_ros.nodes.downlink import Downlink
-from obbhbb_ros.nodes.supervision import Supervision
+from obbhbb_ros.nodes.running.supervision import Supervision
 from obbhbb_ros.spool.chip_rows import NewChip
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.writer import SpoolWriter
@@ -400,7 +400,7 @@ def test_a_file_of_another_kind_is_not_replaced(tmp_path: Path) -> None:
 
 DYING = """
 import os, sys
-from obbhbb_ros.nodes.state_file import open_state_file
+from obbhbb_ros.nodes.running.state_file import open_state_file
 state_file = open_state_file(sys.argv[1], '/n', {}, print)
 last = state_file.explain(state_file.last_stacks)
 if 'start' in sys.argv:

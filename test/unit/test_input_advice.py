@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import pytest
 
-from obbhbb_ros.nodes.input_advice import advice_on_loss
-from obbhbb_ros.nodes.input_advice import advice_on_silence
-from obbhbb_ros.nodes.input_advice import advice_on_type
+from obbhbb_ros.nodes.lifecycle.input_advice import advice_on_loss
+from obbhbb_ros.nodes.lifecycle.input_advice import advice_on_silence
+from obbhbb_ros.nodes.lifecycle.input_advice import advice_on_type
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 PLAIN = INPUT_TYPES['Detection2DArray']

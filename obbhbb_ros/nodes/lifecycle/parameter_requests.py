@@ -11,7 +11,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from obbhbb_ros.nodes import internals
+from obbhbb_ros.nodes.lifecycle import internals
 
 
 class ParameterRequests:

@@ -14,8 +14,8 @@ from functools import partial
 from typing import IO
 from typing import Any
 
-from obbhbb_ros.nodes.last_resort import LastResort
-from obbhbb_ros.nodes.stop import leave
+from obbhbb_ros.nodes.running.last_resort import LastResort
+from obbhbb_ros.nodes.running.stop import leave
 
 STUCK = 70
 """Exit code of a process that the watchdog ends."""

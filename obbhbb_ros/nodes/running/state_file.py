@@ -24,10 +24,10 @@ from datetime import timezone
 from pathlib import Path
 from typing import BinaryIO
 
-from obbhbb_ros.nodes.last_run import LastRun
-from obbhbb_ros.nodes.last_run import Run
-from obbhbb_ros.nodes.last_run import last_run
-from obbhbb_ros.nodes.last_run import read_run
+from obbhbb_ros.nodes.running.last_run import LastRun
+from obbhbb_ros.nodes.running.last_run import Run
+from obbhbb_ros.nodes.running.last_run import last_run
+from obbhbb_ros.nodes.running.last_run import read_run
 
 _BOOT_ID = Path('/proc/sys/kernel/random/boot_id')
 # A state file has about 2 kB.

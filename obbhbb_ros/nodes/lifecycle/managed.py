@@ -11,13 +11,13 @@ from rclpy.lifecycle import LifecycleState
 from rclpy.lifecycle import TransitionCallbackReturn
 
 from obbhbb_ros.errors import StartError
-from obbhbb_ros.nodes import internals
-from obbhbb_ros.nodes.given_parameters import report_unknown
-from obbhbb_ros.nodes.live_parameters import LiveParameters
-from obbhbb_ros.nodes.monitor import Monitor
-from obbhbb_ros.nodes.node_topics import NodeTopics
-from obbhbb_ros.nodes.parts import Part
-from obbhbb_ros.nodes.reporter import Reporter
+from obbhbb_ros.nodes.lifecycle import internals
+from obbhbb_ros.nodes.lifecycle.given_parameters import report_unknown
+from obbhbb_ros.nodes.lifecycle.live_parameters import LiveParameters
+from obbhbb_ros.nodes.lifecycle.monitor import Monitor
+from obbhbb_ros.nodes.lifecycle.node_topics import NodeTopics
+from obbhbb_ros.nodes.lifecycle.parts import Part
+from obbhbb_ros.nodes.lifecycle.reporter import Reporter
 from obbhbb_ros.settings.common import AUTOSTART
 from obbhbb_ros.settings.parameters import ParameterTable
 from obbhbb_ros.settings.parameters import SettingsT

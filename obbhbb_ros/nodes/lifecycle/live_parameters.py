@@ -20,8 +20,8 @@ from rclpy.parameter import Parameter as RosParameter
 
 from obbhbb_ros.limits import Choices
 from obbhbb_ros.limits import Range
-from obbhbb_ros.nodes import internals
-from obbhbb_ros.nodes.parameter_requests import ParameterRequests
+from obbhbb_ros.nodes.lifecycle import internals
+from obbhbb_ros.nodes.lifecycle.parameter_requests import ParameterRequests
 from obbhbb_ros.settings.common import LOCK
 from obbhbb_ros.settings.parameter_file import Values
 from obbhbb_ros.settings.parameters import Parameter

@@ -26,16 +26,16 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from obbhbb_ros.errors import StartError
-from obbhbb_ros.nodes.executor import ExpressExecutor
-from obbhbb_ros.nodes.executor import UnknownRclpyError
-from obbhbb_ros.nodes.failure import REASONS
-from obbhbb_ros.nodes.failure import cannot_start
-from obbhbb_ros.nodes.given_parameters import warn_of_unused_files
-from obbhbb_ros.nodes.stop import RUNNING
-from obbhbb_ros.nodes.stop import STARTING
-from obbhbb_ros.nodes.stop import Stop
-from obbhbb_ros.nodes.supervision import Supervision
-from obbhbb_ros.nodes.watchdog import Turns
+from obbhbb_ros.nodes.lifecycle.given_parameters import warn_of_unused_files
+from obbhbb_ros.nodes.running.executor import ExpressExecutor
+from obbhbb_ros.nodes.running.executor import UnknownRclpyError
+from obbhbb_ros.nodes.running.failure import REASONS
+from obbhbb_ros.nodes.running.failure import cannot_start
+from obbhbb_ros.nodes.running.stop import RUNNING
+from obbhbb_ros.nodes.running.stop import STARTING
+from obbhbb_ros.nodes.running.stop import Stop
+from obbhbb_ros.nodes.running.supervision import Supervision
+from obbhbb_ros.nodes.running.watchdog import Turns
 
 # The stock executor does not return when it is only woken, and the watchdog has to tell an idle
 # executor from a blocked one.

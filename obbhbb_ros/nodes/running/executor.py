@@ -27,7 +27,7 @@ from rclpy.subscription import Subscription
 from rclpy.waitable import NumberOfEntities
 
 from obbhbb_ros.errors import ObbhbbError
-from obbhbb_ros.nodes import internals
+from obbhbb_ros.nodes.lifecycle import internals
 
 _KINDS = ('subscription', 'guard_condition', 'timer', 'client', 'service')
 # Names that rclpy keeps to itself.

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from obbhbb_ros.nodes.node_topics import OVERRIDE_PREFIX
+from obbhbb_ros.nodes.lifecycle.node_topics import OVERRIDE_PREFIX
 from obbhbb_ros.settings.parameter_file import parameter_files
 from obbhbb_ros.settings.parameter_file import read_values
 from obbhbb_ros.settings.parameter_file import shared_names

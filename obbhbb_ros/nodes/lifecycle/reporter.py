@@ -14,10 +14,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_msgs.msg import KeyValue
 from rclpy.lifecycle import LifecycleNode
 
-from obbhbb_ros.nodes import internals
-from obbhbb_ros.nodes.monitor import Monitor
-from obbhbb_ros.nodes.parts import Part
-from obbhbb_ros.nodes.parts import steady_timer
+from obbhbb_ros.nodes.lifecycle import internals
+from obbhbb_ros.nodes.lifecycle.monitor import Monitor
+from obbhbb_ros.nodes.lifecycle.parts import Part
+from obbhbb_ros.nodes.lifecycle.parts import steady_timer
 from obbhbb_ros.settings.common import HARDWARE_ID
 from obbhbb_ros.settings.common import INPUT_TIMEOUT
 from obbhbb_ros.settings.parameter_file import Value

@@ -8,8 +8,8 @@ from argparse import RawDescriptionHelpFormatter
 
 from obbhbb_ros import __version__
 from obbhbb_ros.errors import StartError
-from obbhbb_ros.nodes.executables import PAYLOAD
-from obbhbb_ros.nodes.executables import PAYLOAD_NODES
+from obbhbb_ros.nodes.running.executables import PAYLOAD
+from obbhbb_ros.nodes.running.executables import PAYLOAD_NODES
 
 _USAGE = """%(prog)s [--help] [--version] [--nodes NODE ...] [--ros-args ARGUMENT ...]
 

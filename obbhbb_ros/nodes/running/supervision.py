@@ -8,16 +8,16 @@ from typing import Any
 
 from rclpy.node import Node
 
-from obbhbb_ros.nodes import internals
-from obbhbb_ros.nodes.last_run import LastRun
-from obbhbb_ros.nodes.managed import ManagedNode
-from obbhbb_ros.nodes.parts import steady_timer
-from obbhbb_ros.nodes.reporter import PERIOD
-from obbhbb_ros.nodes.state_file import StateFile
-from obbhbb_ros.nodes.state_file import open_state_file
-from obbhbb_ros.nodes.watchdog import STUCK
-from obbhbb_ros.nodes.watchdog import Turns
-from obbhbb_ros.nodes.watchdog import Watchdog
+from obbhbb_ros.nodes.lifecycle import internals
+from obbhbb_ros.nodes.lifecycle.managed import ManagedNode
+from obbhbb_ros.nodes.lifecycle.parts import steady_timer
+from obbhbb_ros.nodes.lifecycle.reporter import PERIOD
+from obbhbb_ros.nodes.running.last_run import LastRun
+from obbhbb_ros.nodes.running.state_file import StateFile
+from obbhbb_ros.nodes.running.state_file import open_state_file
+from obbhbb_ros.nodes.running.watchdog import STUCK
+from obbhbb_ros.nodes.running.watchdog import Turns
+from obbhbb_ros.nodes.running.watchdog import Watchdog
 from obbhbb_ros.settings.common import STATE_PATH
 from obbhbb_ros.settings.common import WATCHDOG
 

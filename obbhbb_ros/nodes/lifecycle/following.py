@@ -20,7 +20,7 @@ from rclpy.qos import ReliabilityPolicy
 from rclpy.qos import qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from obbhbb_ros.nodes import internals
+from obbhbb_ros.nodes.lifecycle import internals
 
 OVERRIDABLE = QoSOverridingOptions(
     (

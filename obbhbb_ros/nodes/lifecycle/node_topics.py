@@ -13,18 +13,18 @@ from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 
-from obbhbb_ros.nodes import internals
-from obbhbb_ros.nodes.following import OVERRIDABLE
-from obbhbb_ros.nodes.following import FollowingSubscription
-from obbhbb_ros.nodes.following import type_name
-from obbhbb_ros.nodes.input_advice import advice_on_loss
-from obbhbb_ros.nodes.input_advice import advice_on_silence
-from obbhbb_ros.nodes.input_advice import advice_on_type
-from obbhbb_ros.nodes.input_advice import may_be_meant
-from obbhbb_ros.nodes.parts import Part
-from obbhbb_ros.nodes.parts import steady_timer
-from obbhbb_ros.nodes.reporter import DIAGNOSTICS
-from obbhbb_ros.nodes.reporter import Reporter
+from obbhbb_ros.nodes.lifecycle import internals
+from obbhbb_ros.nodes.lifecycle.following import OVERRIDABLE
+from obbhbb_ros.nodes.lifecycle.following import FollowingSubscription
+from obbhbb_ros.nodes.lifecycle.following import type_name
+from obbhbb_ros.nodes.lifecycle.input_advice import advice_on_loss
+from obbhbb_ros.nodes.lifecycle.input_advice import advice_on_silence
+from obbhbb_ros.nodes.lifecycle.input_advice import advice_on_type
+from obbhbb_ros.nodes.lifecycle.input_advice import may_be_meant
+from obbhbb_ros.nodes.lifecycle.parts import Part
+from obbhbb_ros.nodes.lifecycle.parts import steady_timer
+from obbhbb_ros.nodes.lifecycle.reporter import DIAGNOSTICS
+from obbhbb_ros.nodes.lifecycle.reporter import Reporter
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.layouts import InputType
 

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What nodes are made of: transitions, topics, parameters, diagnostics."""
