@@ -344,7 +344,7 @@ def lens_check(data: bytes) -> str:
     assert settings is not None
     boxes = OrientedBoxes.from_xywhr([[320.0, 240.0, 60.0, 10.0, 0.5]])
     placed_ships = ShipPlacer(Above()).place(boxes, (100, 0), camera, settings)
-    return next(iter(placed_ships.counts), 'placed')
+    return next(iter(placed_ships.finding.counts), 'placed')
 
 
 class Above:
