@@ -46,6 +46,9 @@ FIELDS = np.dtype(
 )
 """Number, px, px/s, px², px²/s, px²/s², px, rad, s, number, whether, unit vector."""
 
+MAX_PIXELS = 1e7
+"""Boxes further out, or longer, are not followed."""
+
 # Standard deviation of a ship's speed before it is measured, ship lengths per second: 15 m/s of a
 # boat of 12 m are four of them. Of a part of a ship, that many times more.
 _SPEED = 0.3
@@ -54,6 +57,30 @@ _SPEED_OF_PART = 3.0
 _EDGE = 0.15
 # Ship lengths: error of the middle of a ship of which neither end is in the image.
 _NO_END = 0.25
+
+
+class SightedFrame(NamedTuple):
+    """
+    The boxes of an image.
+
+    Attributes
+    ----------
+    boxes : ndarray
+        Their rows.
+    size : complex
+        Width and height of the image, pixels.
+    noise : float
+        Standard deviation of the places, pixels.
+    """
+
+    boxes: Rows
+    size: complex
+    noise: float
+
+    @property
+    def area(self) -> float:
+        """Pixels of the image."""
+        return self.size.real * self.size.imag
 
 
 class Motion(NamedTuple):

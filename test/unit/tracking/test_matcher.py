@@ -14,8 +14,8 @@ from seas import frames
 from seas import quality
 
 from obbhbb_ros.tracking.assignment import index_pairs
+from obbhbb_ros.tracking.known_ships import MAX_OBJECTS
 from obbhbb_ros.tracking.matcher import MAX_BOXES
-from obbhbb_ros.tracking.matcher import MAX_OBJECTS
 from obbhbb_ros.tracking.matcher import ShipMatcher
 from obbhbb_ros.tracking.shift import fitted
 
