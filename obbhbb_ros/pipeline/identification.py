@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from functools import partial
 from typing import NamedTuple
 
@@ -91,7 +92,7 @@ class TrackedImage:
         """Stamp of the image."""
         return self.detections.stamp
 
-    @property
+    @cached_property
     def passed_boxes(self) -> OrientedBoxes:
         """The boxes that are passed on."""
         return self.boxes[self.rows]
