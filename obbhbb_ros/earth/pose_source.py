@@ -76,8 +76,8 @@ class CameraPoses:
     >>> down = (0.5, 0.5, -0.5, -0.5)
     >>> poses.add(WirePose((10, 0), 'earth', (6878137.0, 0.0, 0.0), down, ()))
     >>> poses.add(WirePose((10, 500_000_000), 'earth', (6878137.0, 3500.0, 0.0), down, ()))
-    >>> found = poses.at((10, 100_000_000), 1.0, None)
-    >>> found.pose.position.round(3).tolist(), round(found.age, 3)
+    >>> sample = poses.at((10, 100_000_000), 1.0, None)
+    >>> sample.pose.position.round(3).tolist(), round(sample.age, 3)
     ([6878137.0, 700.0, 0.0], 0.1)
     """
 
@@ -106,8 +106,8 @@ class CameraPoses:
 
     def at(self, stamp: Stamp, max_age: float, mount: FloatArray | None = None) -> PoseAt | None:
         """Interpolate the pose at a stamp; the mount is in the poses already."""
-        found = self._track.at(stamp, max_age)
-        return None if found is None else PoseAt(*found)
+        sample = self._track.at(stamp, max_age)
+        return None if sample is None else PoseAt(*sample)
 
     def why_not(self, stamp: Stamp) -> str:
         """Say how far the nearest pose is from a stamp."""

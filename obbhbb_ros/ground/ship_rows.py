@@ -99,7 +99,7 @@ def ship_rows(folders: Iterable[Received], left_out: Counter[str]) -> list[ShipR
 
 def _lists(read: Iterable[Received]) -> list[ReceivedList]:
     """List the ship lists once."""
-    return list({each.digest: each for received in read for each in received.lists}.values())
+    return list({ships.digest: ships for received in read for ships in received.lists}.values())
 
 
 def _chips(read: Iterable[Received], left_out: Counter[str]) -> Iterator[ReceivedChip]:

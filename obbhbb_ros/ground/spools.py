@@ -83,10 +83,10 @@ def chip_table(chips: Iterable[StoredChip], fade: float) -> str:
 def object_table(objects: Iterable[ObjectSummary], fade: float) -> str:
     """Write ships as a table, in the order of the ranks of their best chips."""
     rows = [('ship', 'class', 'chips', 'released', 'best value', 'rank')]
-    for each in objects_as_json(objects, fade):
-        numbers = f'{each["views"]}', f'{each["released"]}', f'{each["value"]:.4g}'
-        text = printable(str(each['object']))
-        rows.append((text, printable(each['class_id']), *numbers, f'{each["rank"]:.4g}'))
+    for ship in objects_as_json(objects, fade):
+        numbers = f'{ship["views"]}', f'{ship["released"]}', f'{ship["value"]:.4g}'
+        text = printable(str(ship['object']))
+        rows.append((text, printable(ship['class_id']), *numbers, f'{ship["rank"]:.4g}'))
     return '\n'.join(aligned(rows, left=(0, 1)))
 
 
@@ -94,9 +94,9 @@ def objects_as_json(objects: Iterable[ObjectSummary], fade: float) -> list[dict[
     """Return ships for a JSON file, but those whose best chip is damaged."""
     keys = ('object', 'id', 'class_id', 'value', 'rank')
     return [
-        {key: described.get(key) for key in keys} | {'views': each.views, 'released': each.released}
-        for each in objects
-        if 'damaged' not in (described := _described(each.best, fade))
+        {key: described.get(key) for key in keys} | {'views': ship.views, 'released': ship.released}
+        for ship in objects
+        if 'damaged' not in (described := _described(ship.best, fade))
     ]
 
 

@@ -193,8 +193,12 @@ def _loaded(path: Path) -> tuple[str, NDArray[Any]]:
 
 def as_16_bits(pixels: NDArray[Any]) -> NDArray[np.uint16]:
     """Return pixels, (H, W), as 16 bits, stretched if they do not fit; ValueError without any."""
-    most = np.iinfo(np.uint16).max
-    if pixels.dtype.kind in 'iu' and pixels.min(initial=0) >= 0 and pixels.max(initial=0) <= most:
+    maximum = np.iinfo(np.uint16).max
+    if (
+        pixels.dtype.kind in 'iu'
+        and pixels.min(initial=0) >= 0
+        and pixels.max(initial=0) <= maximum
+    ):
         return pixels.astype(np.uint16)
     height, width = pixels.shape
     sample = pixels[:: -(-height // _MAX_SAMPLES), :: -(-width // _MAX_SAMPLES)].astype(np.float64)
@@ -203,5 +207,5 @@ def as_16_bits(pixels: NDArray[Any]) -> NDArray[np.uint16]:
         raise ValueError('the image has no finite pixel')
     low, high = np.percentile(sample, (_CLIPPED, 100.0 - _CLIPPED))
     span = high - low
-    stretched = (pixels - low) * (most / span if span > 0.0 else 0.0)
-    return np.nan_to_num(np.clip(stretched, 0.0, most)).astype(np.uint16)
+    stretched = (pixels - low) * (maximum / span if span > 0.0 else 0.0)
+    return np.nan_to_num(np.clip(stretched, 0.0, maximum)).astype(np.uint16)

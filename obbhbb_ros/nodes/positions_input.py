@@ -65,16 +65,16 @@ class PositionsInput(Part):
 
         Positions that are missing or cannot be used are counted.
         """
-        found = self._positions.choice(stamp)
-        if found is None:
+        choice = self._positions.choice(stamp)
+        if choice is None:
             return None
-        if not found.has_stamp:
+        if not choice.has_stamp:
             self._node.monitor.add('images_without_positions')
             return None
         camera = self._cameras.choice(stamp)
         place = camera.camera if camera is not None and camera.has_stamp else None
         try:
-            return ShipPlaces(read_positions(found.camera), place)
+            return ShipPlaces(read_positions(choice.camera), place)
         except (PoseError, WireError) as error:
             self._node.monitor.add('images_without_positions')
             self._node.reporter.warn('positions', f'{self._topic.topic_name}: {error}')

@@ -182,17 +182,17 @@ class ShipPlacer:
         """Return the pose of an image, None if it is not known, and its age in seconds."""
         mount = np.array(settings.mount)
         middle = later(stamp, settings.readout / 2)
-        found = self._poses.at(middle, settings.pose_max_age, mount)
-        if found is None:
+        sample = self._poses.at(middle, settings.pose_max_age, mount)
+        if sample is None:
             return None, 0.0
         if not settings.readout or not height:
-            return found
+            return sample
 
         def pose_after(seconds: float) -> CameraPose | None:
             at_line = self._poses.at(later(stamp, seconds), settings.pose_max_age, mount)
             return None if at_line is None else at_line.pose
 
-        return swept_pose(pose_after, settings.readout, height), found.age
+        return swept_pose(pose_after, settings.readout, height), sample.age
 
     def _pinhole(self, camera: WireCamera | None) -> Pinhole | str:
         """Return the camera of an image, or why there is none."""

@@ -241,9 +241,9 @@ def _chips_up_to(
     rows: sqlite3.Cursor, fade: float, states: list[int], max_cost: float, is_compact: bool
 ) -> Iterator[tuple[StoredChip, bytes, int]]:
     """Yield the next chips up to a cost, with file and cost, state by state."""
-    least = _LEAST_COST if is_compact else _COST
+    min_cost = _LEAST_COST if is_compact else _COST
     for state in states:
-        for chip in in_order(rows, fade, f'state = {state}', f'{least} <= ?', (max_cost,)):
+        for chip in in_order(rows, fade, f'state = {state}', f'{min_cost} <= ?', (max_cost,)):
             ((cost, data),) = rows.execute(
                 f'SELECT {_COST}, data FROM chips WHERE seq = ?', (chip.seq,)
             )
