@@ -8,6 +8,7 @@ What `ship_tracker` does to a message: bytes and settings in, bytes and counts o
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
@@ -32,6 +33,7 @@ from obbhbb_ros.placing import ShipPlacer
 from obbhbb_ros.reports.seen_ships import ShipCollector
 from obbhbb_ros.settings.ship_tracker import TrackerSettings
 from obbhbb_ros.tracking.matcher import ShipMatcher
+from obbhbb_ros.tracking.object_ids import ObjectIds
 from obbhbb_ros.tracking.sightings import Carry
 from obbhbb_ros.tracking.sightings import Places
 from obbhbb_ros.tracking.track_ids import IdWatch
@@ -86,6 +88,7 @@ class ShipIdentifier:
         self._placer = None if poses is None else ShipPlacer(poses)
         self._matcher = ShipMatcher()
         self._watch = IdWatch()
+        self._objects = ObjectIds()
         self._stamp: Stamp | None = None
         # Of the last image whose boxes were followed.
         self._viewpoint: Viewpoint | None = None
@@ -203,7 +206,7 @@ class ShipIdentifier:
         whole: NDArray[np.bool_] = np.asarray(inside.all(axis=(1, 2)))
         unlisted = self._collector.note(
             nanoseconds_of(detections.stamp),
-            ids,
+            self._objects.name(ids, time.monotonic()),
             [classes[row] for row in rows.tolist()],
             detections.scores()[rows],
             whole,

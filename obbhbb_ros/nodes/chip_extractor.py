@@ -59,10 +59,10 @@ from obbhbb_ros.settings.chip_extractor import CHIP_EXTRACTOR
 from obbhbb_ros.settings.chip_extractor import ChipSettings
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.chip_rows import NewChip
-from obbhbb_ros.spool.objects import ObjectIds
 from obbhbb_ros.spool.records import recorder_of
 from obbhbb_ros.spool.writer import FrameTicket
 from obbhbb_ros.spool.writer import SpoolWriter
+from obbhbb_ros.tracking.object_ids import ObjectIds
 from obbhbb_ros.tracking.track_ids import IdWatch
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import WireImage
