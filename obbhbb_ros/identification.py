@@ -23,6 +23,7 @@ from obbhbb_ros.earth.reprojection import Viewpoint
 from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.pipeline import NOBODY
+from obbhbb_ros.pipeline import OTHER_POSE
 from obbhbb_ros.pipeline import ConversionOutcome
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.pipeline import camera_doubt
@@ -30,6 +31,7 @@ from obbhbb_ros.pipeline import known_image_size
 from obbhbb_ros.pipeline import no_size_complaint
 from obbhbb_ros.placing import PlacedShips
 from obbhbb_ros.placing import ShipPlacer
+from obbhbb_ros.plausibility import frames_text
 from obbhbb_ros.reports.seen_ships import ShipCollector
 from obbhbb_ros.settings.ship_tracker import TrackerSettings
 from obbhbb_ros.tracking.matcher import ShipMatcher
@@ -85,6 +87,7 @@ class ShipIdentifier:
     ) -> None:
         self.session = new_session()
         self._collector = collector
+        self._poses = poses
         self._placer = None if poses is None else ShipPlacer(poses)
         self._matcher = ShipMatcher()
         self._watch = IdWatch()
@@ -152,6 +155,7 @@ class ShipIdentifier:
             self._id_doubts(ids),
             self._stamp_doubt(detections.stamp),
             camera_doubt(detections.frame_id, camera if used else None),
+            self._pose_doubt(detections.frame_id),
         ]
         if image_size is None:
             no_size = no_size_complaint(['ships get no ids'])
@@ -257,6 +261,13 @@ class ShipIdentifier:
             {doubt.key: doubt.detections for doubt in doubts},
             {doubt.key: doubt.text for doubt in doubts},
         )
+
+    def _pose_doubt(self, frame_id: str) -> Finding:
+        """Count and report detections of another frame than that whose pose is told."""
+        told = '' if self._poses is None else self._poses.frame_id
+        advice = "the pose has to be that of the camera's optical frame"
+        text = frames_text(('detections', frame_id), ('a pose', told), advice)
+        return ({'frame_ids_differ.camera_pose': 1}, {OTHER_POSE: text}) if text else ({}, {})
 
     def _stamp_doubt(self, stamp: Stamp) -> Finding:
         """Count and report a stamp that is not later than the last one."""

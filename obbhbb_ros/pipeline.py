@@ -44,7 +44,9 @@ from obbhbb_ros.wire.stamp import stamp_text
 OUTER = (HullRule('outer'),)
 
 OTHER_FRAME = 'other frame'
-"""Kind of the complaint that is worth saying once."""
+OTHER_POSE = 'pose of another frame'
+SAID_ONCE = (OTHER_FRAME, OTHER_POSE)
+"""Kinds of the complaints that are worth saying once."""
 
 # Of one detection only one of them counts.
 _OUTSIDE = (

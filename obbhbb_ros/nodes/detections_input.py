@@ -18,7 +18,7 @@ from obbhbb_ros.downlink.joiner import CAMERAS_KEPT
 from obbhbb_ros.nodes.managed import ManagedNode
 from obbhbb_ros.nodes.node_topics import reliable
 from obbhbb_ros.nodes.parts import Part
-from obbhbb_ros.pipeline import OTHER_FRAME
+from obbhbb_ros.pipeline import SAID_ONCE
 from obbhbb_ros.pipeline import ConversionOutcome
 from obbhbb_ros.wire.camera import WireCamera
 from obbhbb_ros.wire.camera import read_camera
@@ -117,7 +117,7 @@ class DetectionsInput(Part):
             return
         for kind, text in outcome.complaints.items():
             said = f'{self._detections.topic_name}: {text}'
-            if kind == OTHER_FRAME:
+            if kind in SAID_ONCE:
                 reporter.warn_once(said)
             else:
                 reporter.warn(kind, said)

@@ -468,6 +468,17 @@ def test_ids_that_several_ships_of_an_image_share_join_no_ships_in_a_list() -> N
     assert outcome.counts['ships_unlisted'] == 4
 
 
+def test_a_pose_of_another_frame_than_the_image_is_counted_and_said() -> None:
+    boxes = ORBIT.boxes(*hulls(ORBIT))
+    for told, count in (('', 0), ('camera', 0), ('base_link', 1)):
+        source = known(pose_of(ORBIT)._replace(child_frame_id=told))
+        message = encode(Message(stamp=MIDDLE, frame_id='camera'))
+        outcome, *_ = Tracker(source).answer(message, camera_of(ORBIT))
+        assert outcome.counts.get('frame_ids_differ.camera_pose', 0) == count
+    assert "a pose of frame 'base_link'" in outcome.complaints['pose of another frame']
+    assert_right(placed(ORBIT, source, boxes)[2], hulls(ORBIT))
+
+
 def test_an_image_without_ships_adds_none_to_the_next_list() -> None:
     collector = ShipCollector()
     tracker = Tracker(known(pose_of(ORBIT)))
