@@ -141,7 +141,7 @@ class ShipIdentifier:
         detections = Detections(data, input_type)
         image_size, used = known_image_size(settings.image_size, camera)
         boxes = _image_boxes(detections, settings, image_size)
-        placed = self._placed(detections.stamp, boxes, settings, camera if image_size else None)
+        placed = self._placed(detections.stamp, boxes, settings, camera, image_size)
         rows = np.arange(len(detections))
         if placed is not None and settings.place is not None:
             rows = np.flatnonzero(placed.within(settings.place.lengths))
@@ -154,7 +154,7 @@ class ShipIdentifier:
             _placing(placed, len(own) - len(rows)),
             self._id_doubts(ids),
             self._stamp_doubt(detections.stamp),
-            camera_doubt(detections.frame_id, camera if used else None),
+            camera_doubt(detections.frame_id, camera if used or placed else None),
             self._pose_doubt(detections.frame_id),
         ]
         if image_size is None:
@@ -185,12 +185,13 @@ class ShipIdentifier:
         boxes: OrientedBoxes,
         settings: TrackerSettings,
         camera: CameraChoice[WireCamera] | None,
+        image_size: tuple[int, int] | None,
     ) -> PlacedShips | None:
         """Place the ships of an image on Earth; None if that is not asked for."""
         if self._placer is None or settings.place is None:
             return None
-        known = None if camera is None else camera.camera
-        return self._placer.place(boxes, stamp, known, settings.place)
+        known = None if camera is None or image_size is None else camera.camera
+        return self._placer.place(boxes, stamp, known, image_size, settings.place)
 
     def _collected(
         self,

@@ -468,6 +468,21 @@ def test_ids_that_several_ships_of_an_image_share_join_no_ships_in_a_list() -> N
     assert outcome.counts['ships_unlisted'] == 4
 
 
+def test_a_camera_of_another_size_or_frame_than_the_image_is_said() -> None:
+    boxes, source = ORBIT.boxes(*hulls(ORBIT)), known(pose_of(ORBIT))
+    given = {'image_width': 2048, 'image_height': 1536}
+    outcome, _, positions, _ = placed(ORBIT, source, boxes, **given)
+    assert np.isnan(positions.points).all()
+    assert outcome.counts['ships_unplaced.no_camera'] == len(boxes)
+    assert 'camera_info is of 4096 x 3072 pixels' in outcome.complaints['no_camera']
+    given = {'image_width': 4096, 'image_height': 3071}
+    for frame, count in (('camera', 0), ('other', 1)):
+        camera = camera_of(ORBIT, frame_id=frame)
+        outcome, _, positions, _ = placed(ORBIT, source, boxes, camera, **given)
+        assert_right(positions, hulls(ORBIT))
+        assert outcome.counts.get('frame_ids_differ.camera_info', 0) == count
+
+
 def test_a_pose_of_another_frame_than_the_image_is_counted_and_said() -> None:
     boxes = ORBIT.boxes(*hulls(ORBIT))
     for told, count in (('', 0), ('camera', 0), ('base_link', 1)):
