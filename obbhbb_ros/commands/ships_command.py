@@ -63,15 +63,22 @@ def add_ships_options(parser: ArgumentParser) -> None:
 
 def _metres(text: str) -> float:
     """Parse metres."""
-    metres = float(text)
+    try:
+        metres = float(text)
+    except ValueError:
+        metres = math.nan
     if not _MIN_METRES <= metres < math.inf:
-        raise ArgumentTypeError(f'{text} is not a number of metres, at least {_MIN_METRES}')
+        raise ArgumentTypeError(f'{text!r} is not a number of metres, at least {_MIN_METRES}')
     return metres
 
 
 def _time(text: str) -> datetime:
     """Parse a time; without a time zone it is UTC."""
-    time = datetime.fromisoformat(text.removesuffix('Z'))
+    try:
+        time = datetime.fromisoformat(text.removesuffix('Z'))
+    except ValueError:
+        example = '2026-11-30T06:00:00Z'
+        raise ArgumentTypeError(f'{text!r} is no time of ISO 8601, such as {example}') from None
     return time if time.tzinfo else time.replace(tzinfo=timezone.utc)
 
 

@@ -10,8 +10,8 @@ from typing import Generic
 from typing import NamedTuple
 from typing import TypeVar
 
-from obbhbb_ros.downlink.joiner import ZERO_STAMP
 from obbhbb_ros.downlink.joiner import StampCache
+from obbhbb_ros.wire.stamp import ZERO_STAMP
 from obbhbb_ros.wire.stamp import Stamp
 
 Camera = TypeVar('Camera')

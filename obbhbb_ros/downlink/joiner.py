@@ -24,14 +24,12 @@ from obbhbb_ros.limits import MAX_BYTES
 from obbhbb_ros.limits import CheckedSettings
 from obbhbb_ros.limits import Range
 from obbhbb_ros.limits import setting
+from obbhbb_ros.wire.stamp import ZERO_STAMP
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import nanoseconds_of
 
 Item = TypeVar('Item')
 Partner = TypeVar('Partner')
-
-ZERO_STAMP: Stamp = (0, 0)
-"""No stamp at all: a header that nobody filled in."""
 
 # During a stall the middleware keeps this much, 1.6 s of images at 10 Hz, and then delivers it at
 # once, images and plans in any order.

@@ -212,6 +212,8 @@ class Fix:
         if known is not None:
             axes = east_north_up(latitude, longitude)
             known = axes.T @ known @ axes
+        if not abs(altitude) <= _MAX_DISTANCE:
+            raise PoseError(f'altitude {altitude}: not a number of metres')
         position = _position(to_ecef(latitude, longitude, altitude))
         return cls(latitude, longitude, position, known)
 

@@ -40,7 +40,16 @@ class PoseAt(NamedTuple):
 
 
 class PoseSource(Protocol):
-    """What knows the pose of the camera."""
+    """
+    What knows the pose of the camera.
+
+    Attributes
+    ----------
+    frame_id : str
+        The frame whose pose it was told last; empty if the messages do not say.
+    """
+
+    frame_id: str
 
     def has_reached(self, stamp: Stamp) -> bool:
         """Tell whether all has come that the pose at a stamp needs, so that waiting is over."""
@@ -83,6 +92,7 @@ class CameraPoses:
 
     def __init__(self) -> None:
         self._track = SampleTrack[CameraPose]()
+        self.frame_id = ''
 
     def add(self, pose: WirePose) -> None:
         """
@@ -99,6 +109,7 @@ class CameraPoses:
         self._track.add(
             pose.stamp, CameraPose.from_message(pose.position, pose.orientation, covariance)
         )
+        self.frame_id = pose.child_frame_id
 
     def has_reached(self, stamp: Stamp) -> bool:
         """Tell whether a pose has come that is as late as a stamp."""
@@ -116,10 +127,14 @@ class CameraPoses:
     def clear(self) -> None:
         """Forget all poses."""
         self._track.clear()
+        self.frame_id = ''
 
 
 class VehiclePoses:
     """Places and attitudes of the vehicle that carries the camera."""
+
+    # `camera_mount` tells how the camera lies in the frame of the attitude.
+    frame_id = ''
 
     def __init__(self) -> None:
         self._fixes, self._attitudes = SampleTrack[Fix](), SampleTrack[Attitude]()

@@ -11,13 +11,15 @@ from typing import NamedTuple
 from typing import Protocol
 from typing import TypeVar
 
+from obbhbb_ros.earth.pose import PoseError
+from obbhbb_ros.wire.stamp import ZERO_STAMP
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import nanoseconds_of
 
 __all__ = ['SampleAt', 'SampleTrack']
 
-# Ten seconds of an IMU at 200 Hz.
-_MAX_COUNT = 2000
+# Ten seconds of an IMU at 1 kHz, 5 MB: an image may come late and then wait for a pose.
+_MAX_COUNT = 10_000
 # Samples arrive in another order within a second; what is earlier is of a clock that was set back.
 _MAX_DISORDER = 1_000_000_000
 
@@ -51,7 +53,7 @@ class SampleAt(NamedTuple, Generic[Sample]):
 
 class SampleTrack(Generic[Sample]):
     """
-    The latest 2000 samples by stamp: poses, fixes or attitudes.
+    The latest 10,000 samples by stamp: poses, fixes or attitudes.
 
     A sample more than a second earlier than the last one begins a new track: after a restart of a
     simulation, or the end of a bag that is played in a loop, samples of two runs would be mixed,
@@ -85,7 +87,16 @@ class SampleTrack(Generic[Sample]):
         self._order: deque[int] = deque()
 
     def add(self, stamp: Stamp, sample: Sample) -> None:
-        """Add a sample; it replaces one with the same stamp, or begins a new track."""
+        """
+        Add a sample; it replaces one with the same stamp, or begins a new track.
+
+        Raises
+        ------
+        PoseError
+            If its stamp is zero. An image that nobody stamped would take it for its own.
+        """
+        if stamp == ZERO_STAMP:
+            raise PoseError('its stamp is zero')
         time = nanoseconds_of(stamp)
         if self._stamps and time < self._stamps[-1] - _MAX_DISORDER:
             self.clear()

@@ -46,7 +46,8 @@ class ShipRow:
     other_ids : tuple of str
         The ids of what was joined to it.
     spans : tuple of tuple of int
-        First and last time of each of its objects, nanoseconds since 1970.
+        When each of its objects was seen, from the earliest to the latest time that is possible,
+        milliseconds since 1970.
     """
 
     facts: ShipReport
@@ -127,9 +128,17 @@ def _row(ship: _Object) -> ShipRow | None:
         # The images of chips are among those of the lists, if there is a list.
         views=max(sum(report.views for report in ship.reports), len(set(times))),
     )
-    return ShipRow(
-        facts, _best_view(ship.chips), tuple(ship.files), spans=((facts.first, facts.last),)
+    return ShipRow(facts, _best_view(ship.chips), tuple(ship.files), spans=(_span(ship),))
+
+
+def _span(ship: _Object) -> tuple[int, int]:
+    """Return when an object was seen, rounded as in lists: so that of one image all times agree."""
+    firsts, lasts = zip(
+        *((chip.time, chip.time) for chip in ship.chips),
+        *((one.first - one.time_error, one.last + one.time_error) for one in ship.reports),
+        strict=True,
     )
+    return round(min(firsts) / 1e6), round(max(lasts) / 1e6)
 
 
 def chip_report(chip: ReceivedChip) -> ShipReport | None:

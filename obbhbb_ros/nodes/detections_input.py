@@ -18,7 +18,7 @@ from obbhbb_ros.downlink.joiner import CAMERAS_KEPT
 from obbhbb_ros.nodes.lifecycle.managed import ManagedNode
 from obbhbb_ros.nodes.lifecycle.node_topics import reliable
 from obbhbb_ros.nodes.lifecycle.parts import Part
-from obbhbb_ros.pipeline.image_size import OTHER_FRAME
+from obbhbb_ros.pipeline.outcome import SAID_ONCE
 from obbhbb_ros.pipeline.outcome import Outcome
 from obbhbb_ros.wire.camera import WireCamera
 from obbhbb_ros.wire.camera import read_camera
@@ -117,7 +117,7 @@ class DetectionsInput(Part):
             return
         for kind, text in outcome.complaints.items():
             said = f'{self._detections.topic_name}: {text}'
-            if kind == OTHER_FRAME:
+            if kind in SAID_ONCE:
                 reporter.warn_once(said)
             else:
                 reporter.warn(kind, said)

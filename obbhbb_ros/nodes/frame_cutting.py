@@ -40,9 +40,9 @@ from obbhbb_ros.nodes.lifecycle.parts import Part
 from obbhbb_ros.nodes.lifecycle.parts import steady_timer
 from obbhbb_ros.settings.chip_extractor import ChipSettings
 from obbhbb_ros.spool.chip_rows import NewChip
-from obbhbb_ros.spool.objects import ObjectIds
 from obbhbb_ros.spool.records import recorder_of
 from obbhbb_ros.spool.writer import FrameTicket
+from obbhbb_ros.tracking.object_ids import ObjectIds
 from obbhbb_ros.tracking.track_ids import IdWatch
 from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.image import WireImage

@@ -21,7 +21,6 @@ from obbhbb_ros.downlink.decoding import AnyImage
 from obbhbb_ros.downlink.decoding import decoded
 from obbhbb_ros.downlink.joiner import IMAGES_KEPT
 from obbhbb_ros.downlink.joiner import PLANS_KEPT
-from obbhbb_ros.downlink.joiner import ZERO_STAMP
 from obbhbb_ros.nodes.annotations_output import AnnotationsOutput
 from obbhbb_ros.nodes.image_input import image_input
 from obbhbb_ros.nodes.lifecycle.managed import ManagedNode
@@ -42,6 +41,7 @@ from obbhbb_ros.wire.buffer import WireError
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 from obbhbb_ros.wire.layouts import InputType
+from obbhbb_ros.wire.stamp import ZERO_STAMP
 from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import stamp_text
 

@@ -8,6 +8,7 @@ What `ship_tracker` does to a message: bytes and settings in, bytes and counts o
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,14 +27,17 @@ from obbhbb_ros.pipeline.image_size import camera_doubt
 from obbhbb_ros.pipeline.image_size import known_image_size
 from obbhbb_ros.pipeline.image_size import no_size_complaint
 from obbhbb_ros.pipeline.outcome import NOBODY
+from obbhbb_ros.pipeline.outcome import OTHER_POSE
 from obbhbb_ros.pipeline.outcome import Finding
 from obbhbb_ros.pipeline.outcome import Outcome
 from obbhbb_ros.pipeline.outcome import Output
 from obbhbb_ros.pipeline.placing import PlacedShips
 from obbhbb_ros.pipeline.placing import ShipPlacer
+from obbhbb_ros.pipeline.plausibility import frames_text
 from obbhbb_ros.reports.seen_ships import ShipCollector
 from obbhbb_ros.settings.ship_tracker import TrackerSettings
 from obbhbb_ros.tracking.matcher import ShipMatcher
+from obbhbb_ros.tracking.object_ids import ObjectIds
 from obbhbb_ros.tracking.sightings import Carry
 from obbhbb_ros.tracking.sightings import Places
 from obbhbb_ros.tracking.track_ids import IdWatch
@@ -131,9 +135,11 @@ class ShipIdentifier:
     ) -> None:
         self.session = new_session()
         self._collector = collector
+        self._poses = poses
         self._placer = None if poses is None else ShipPlacer(poses)
         self._matcher = ShipMatcher()
         self._watch = IdWatch()
+        self._objects = ObjectIds()
         self._stamp: Stamp | None = None
         # Of the last image whose boxes were followed.
         self._viewpoint: Viewpoint | None = None
@@ -193,7 +199,8 @@ class ShipIdentifier:
             Finding(used),
             _placing(image),
             self._stamp_doubt(image.stamp),
-            camera_doubt(detections.frame_id, camera if used else None),
+            camera_doubt(detections.frame_id, camera if used or image.placed else None),
+            self._pose_doubt(detections.frame_id),
             *tracked,
             self._collected(image, ids),
         )
@@ -211,7 +218,7 @@ class ShipIdentifier:
         own_ids, placed = detections.ids(), None
         if self._placer is not None and settings.place is not None:
             known = camera.camera if camera and size else None
-            placed = self._placer.place(boxes, detections.stamp, known, settings.place)
+            placed = self._placer.place(boxes, detections.stamp, known, size, settings.place)
             rows = np.flatnonzero(placed.within(settings.place.lengths))
         return TrackedImage(detections, own_ids, boxes, placed, rows, size)
 
@@ -238,7 +245,7 @@ class ShipIdentifier:
             return Finding({})
         unlisted = self._collector.note(
             nanoseconds_of(image.stamp),
-            ids,
+            self._objects.name(ids, time.monotonic()),
             image.passed(image.detections.class_ids()),
             image.detections.scores()[image.rows],
             image.are_whole(),
@@ -285,6 +292,15 @@ class ShipIdentifier:
             {doubt.key: doubt.detections for doubt in doubts},
             {doubt.key: doubt.text for doubt in doubts},
         )
+
+    def _pose_doubt(self, frame_id: str) -> Finding:
+        """Count and report detections of another frame than that whose pose is told."""
+        told = '' if self._poses is None else self._poses.frame_id
+        advice = "the pose has to be that of the camera's optical frame"
+        text = frames_text(('detections', frame_id), ('a pose', told), advice)
+        if not text:
+            return Finding({})
+        return Finding({'frame_ids_differ.camera_pose': 1}, {OTHER_POSE: text})
 
     def _stamp_doubt(self, stamp: Stamp) -> Finding:
         """Count and report a stamp that is not later than the last one."""

@@ -4,12 +4,10 @@
 from __future__ import annotations
 
 from obbhbb_ros.downlink.cameras import CameraChoice
+from obbhbb_ros.pipeline.outcome import OTHER_FRAME
 from obbhbb_ros.pipeline.outcome import Finding
 from obbhbb_ros.pipeline.plausibility import frames_text
 from obbhbb_ros.wire.camera import WireCamera
-
-OTHER_FRAME = 'other frame'
-"""Kind of the complaint that is worth saying once."""
 
 
 def known_image_size(

@@ -9,6 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+OTHER_FRAME = 'other frame'
+OTHER_POSE = 'pose of another frame'
+SAID_ONCE = (OTHER_FRAME, OTHER_POSE)
+"""Kinds of the complaints that are worth saying once."""
+
 _NONE: Mapping[str, str] = {}
 
 

@@ -139,6 +139,7 @@ class ShipPlacer:
         boxes: OrientedBoxes,
         stamp: Stamp,
         camera: WireCamera | None,
+        image_size: tuple[int, int] | None,
         settings: PlaceSettings,
     ) -> PlacedShips:
         """
@@ -152,10 +153,12 @@ class ShipPlacer:
             Stamp of the image.
         camera : WireCamera or None
             Its camera, if that is known.
+        image_size : tuple of int or None
+            Its width and height, pixels, if they are known. A camera of another size is not used.
         settings : PlaceSettings
             The settings.
         """
-        pinhole = self._pinhole(camera)
+        pinhole = self._pinhole(camera, image_size)
         height = camera.image_size[1] if camera else 0
         pose, age = self._pose(stamp, height, settings)
         if isinstance(pinhole, str):
@@ -194,10 +197,15 @@ class ShipPlacer:
 
         return swept_pose(pose_after, settings.readout, height), sample.age
 
-    def _pinhole(self, camera: WireCamera | None) -> Pinhole | str:
+    def _pinhole(
+        self, camera: WireCamera | None, image_size: tuple[int, int] | None
+    ) -> Pinhole | str:
         """Return the camera of an image, or why there is none."""
         if camera is None:
             return 'no camera_info has come'
+        if image_size and all(camera.image_size) and not camera.fits(image_size):
+            stated, given = ('{} x {}'.format(*size) for size in (camera.image_size, image_size))
+            return f'camera_info is of {stated} pixels, image_width and image_height say {given}'
         if self._known is None or not _is_alike(self._known[0], camera):
             try:
                 pinhole = Pinhole(camera.k, camera.d, camera.model, camera.roi[:2], camera.binning)

@@ -94,7 +94,9 @@ def doubtful_scores(scores: NDArray[np.float64]) -> Iterator[Doubt]:
             yield Doubt(f'scores_doubtful.{key}', rows, what, cause)
 
 
-def frames_text(one: tuple[str, str], other: tuple[str, str]) -> str:
+def frames_text(
+    one: tuple[str, str], other: tuple[str, str], advice: str = 'two cameras on one topic?'
+) -> str:
     """
     Say that two messages are of different frames; empty if one of them names none.
 
@@ -102,6 +104,8 @@ def frames_text(one: tuple[str, str], other: tuple[str, str]) -> str:
     ----------
     one, other : tuple of str
         What a message is, and its frame id.
+    advice : str
+        What may be wrong.
 
     Examples
     --------
@@ -111,10 +115,7 @@ def frames_text(one: tuple[str, str], other: tuple[str, str]) -> str:
     (what, frame_id), (other_what, other_frame_id) = one, other
     if frame_id == other_frame_id or not frame_id or not other_frame_id:
         return ''
-    return (
-        f'{what} of frame {frame_id!r}, but {other_what} of frame {other_frame_id!r}: '
-        'two cameras on one topic?'
-    )
+    return f'{what} of frame {frame_id!r}, but {other_what} of frame {other_frame_id!r}: {advice}'
 
 
 class OutsideWatch:

@@ -125,7 +125,7 @@ def read_ship_message(content: bytes) -> list[ShipReport]:
     """
     Read a message that `ship_message` has written.
 
-    The first time of a ship is unknown, and given as its last.
+    The first time of a ship is unknown, and given as its last. That may be off by `time_error`.
 
     Raises
     ------
@@ -310,6 +310,8 @@ def _ship(
         score=None if 'score' in is_unknown else codes['score'] / _SCORE_STEPS,
         first=time,
         last=time,
+        # That of the latest ship is rounded down, the ages of the others are rounded.
+        time_error=_SECOND + step * _SECOND // 2,
         views=max(codes['views'], 1),
         speed=None if 'speed' in is_unknown else float(codes['speed']),
     )

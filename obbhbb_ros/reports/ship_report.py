@@ -59,6 +59,8 @@ class ShipReport:
         Its score; None if it is not known.
     first, last : int
         Stamps of the first and the last image with the ship, nanoseconds since 1970.
+    time_error : int
+        By how much these times may be off, nanoseconds.
     views : int
         Number of images that show it, at least 1.
     speed, speed_sigma : float or None
@@ -79,6 +81,7 @@ class ShipReport:
     score: float | None = None
     first: int
     last: int
+    time_error: int = 0
     views: int = 1
     speed: float | None = None
     speed_sigma: float | None = None
@@ -136,6 +139,7 @@ def joined_reports(earlier: ShipReport, later: ShipReport) -> ShipReport:
         best,
         first=min(earlier.first, later.first),
         last=max(earlier.last, later.last),
+        time_error=max(earlier.time_error, later.time_error),
         views=earlier.views + later.views,
         class_id=surest.class_id,
         score=surest.score,

@@ -22,6 +22,8 @@ from obbhbb_ros.wire.writing import header_bytes
 from obbhbb_ros.wire.writing import padding
 
 _POSE_NUMBERS = 7
+# Of an `Odometry` alone.
+_CHILD = 'child_frame_id'
 _LAYOUTS: dict[str, tuple[Sequence[Step], str, int]] = {
     'PoseStamped': (POSE_STAMPED, 'pose.position', 0),
     'PoseWithCovarianceStamped': (POSE_WITH_COVARIANCE_STAMPED, 'pose.pose.position', 36),
@@ -47,6 +49,8 @@ class WirePose(NamedTuple):
         x, y, z and w.
     covariance : tuple of float
         36 numbers row by row; none if the message has none.
+    child_frame_id : str
+        The frame whose pose it is; empty if the message does not say.
     """
 
     stamp: Stamp
@@ -54,6 +58,7 @@ class WirePose(NamedTuple):
     position: tuple[float, ...]
     orientation: tuple[float, ...]
     covariance: tuple[float, ...]
+    child_frame_id: str = ''
 
 
 class WireFix(NamedTuple):
@@ -119,9 +124,9 @@ def read_pose(data: bytes, name: str) -> WirePose:
     steps, path, variances = _LAYOUTS[name]
     buffer, places = read_struct(data, steps)
     numbers: tuple[Any, ...] = buffer.numbers(places[path], f'{_POSE_NUMBERS + variances}d')
-    return WirePose(
-        buffer.stamp, buffer.frame_id, numbers[:3], numbers[3:_POSE_NUMBERS], numbers[7:]
-    )
+    position, orientation, covariance = numbers[:3], numbers[3:_POSE_NUMBERS], numbers[7:]
+    child = buffer.text(places[_CHILD]) if _CHILD in places else ''
+    return WirePose(buffer.stamp, buffer.frame_id, position, orientation, covariance, child)
 
 
 def read_fix(data: bytes) -> WireFix:

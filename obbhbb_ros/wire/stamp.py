@@ -5,6 +5,8 @@ import struct
 
 Stamp = tuple[int, int]
 """Seconds and nanoseconds, as `builtin_interfaces/Time` has them."""
+ZERO_STAMP: Stamp = (0, 0)
+"""No stamp at all: a header that nobody filled in."""
 # Seconds are an int32.
 _LATEST = (1 << 31) * 1_000_000_000 - 1
 # Behind an encapsulation header of four bytes.

@@ -39,13 +39,13 @@ from obbhbb_ros.reports.ship_list import LIST_SUFFIXES
 from obbhbb_ros.spool.chip_rows import NewChip
 from obbhbb_ros.spool.feeder import OutboxFeeder
 from obbhbb_ros.spool.feeder import ReleaseSettings
-from obbhbb_ros.spool.objects import ObjectIds
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.ranking import FADE
 from obbhbb_ros.spool.releaser import SpoolReleaser
 from obbhbb_ros.spool.writer import SpoolWriter
 from obbhbb_ros.text_tables import text_table
 from obbhbb_ros.tracking.matcher import ShipMatcher
+from obbhbb_ros.tracking.object_ids import ObjectIds
 
 SHIPS, ROCKS = 1000, 150
 # Of a contact after the strip, and the share of a rock's views in which the detector takes it for a

@@ -343,12 +343,14 @@ def lens_check(data: bytes) -> str:
         return 'refused'
     assert settings is not None
     boxes = OrientedBoxes.from_xywhr([[320.0, 240.0, 60.0, 10.0, 0.5]])
-    placed_ships = ShipPlacer(Above()).place(boxes, (100, 0), camera, settings)
+    placed_ships = ShipPlacer(Above()).place(boxes, (100, 0), camera, None, settings)
     return next(iter(placed_ships.finding.counts), 'placed')
 
 
 class Above:
     """A camera that looks straight down from 500 km, at any time."""
+
+    frame_id = ''
 
     _pose = CameraPose.from_message((6_878_137.0, 0.0, 0.0), (0.5, 0.5, -0.5, -0.5))
 

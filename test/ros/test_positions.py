@@ -328,6 +328,7 @@ def test_poses_are_read_as_rclpy_writes_them(frame: str) -> None:
         message = make(stamp_at(5.25))
         message.header.frame_id = frame
         read = read_pose(serialize_message(message), name)
+        assert read.child_frame_id == ('camera_optical' if name == 'Odometry' else '')
         inner = message.pose if name == 'PoseStamped' else message.pose.pose
         assert read.position == (inner.position.x, inner.position.y, inner.position.z)
         assert read.orientation[3] == inner.orientation.w

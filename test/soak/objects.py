@@ -24,9 +24,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from spooled import SpoolUsers
 from spooled import new_chip
 
-from obbhbb_ros.spool.objects import ObjectIds
 from obbhbb_ros.text_tables import text_table
 from obbhbb_ros.tracking.matcher import ShipMatcher
+from obbhbb_ros.tracking.object_ids import ObjectIds
 
 # Ships that enter with a frame; the same number is seen again.
 ENTERING = 50

@@ -144,7 +144,7 @@ def test_the_uncertainty_of_a_vehicle_is_turned_to_the_earth() -> None:
         ((54.0, 12.0, 9.0), -1, 'no fix'),
         ((91.0, 12.0, 9.0), 0, 'no degrees'),
         ((54.0, np.nan, 9.0), 0, 'no degrees'),
-        ((54.0, 12.0, np.nan), 0, 'position'),
+        ((54.0, 12.0, np.nan), 0, 'altitude nan'),
     ],
 )
 def test_what_is_no_fix_is_refused_with_the_reason(numbers, status, reason) -> None:
@@ -204,11 +204,28 @@ def test_a_track_says_when_no_earlier_sample_is_to_be_waited_for() -> None:
 
 def test_a_track_is_bounded() -> None:
     track = SampleTrack()
-    for second in range(5_000):
-        track.add((second, 0), pose_at(0.0))
-        assert len(track) <= 2000
-    assert track.at((4_990, 500_000_000), 1.0) is not None
-    assert track.at((2_990, 0), 1.0) is None
+    pose = pose_at(0.0)
+    for second in range(1, 15_000):
+        track.add((second, 0), pose)
+        assert len(track) <= 10_000
+    assert track.at((14_990, 500_000_000), 1.0) is not None
+    assert track.at((4_990, 0), 1.0) is None
+
+
+def test_an_attitude_at_1_khz_is_kept_while_an_image_waits_for_a_fix() -> None:
+    track = SampleTrack()
+    level = Attitude.from_message(LEVEL)
+    for millisecond in range(1_000, 10_000):
+        track.add(divmod(millisecond * 1_000_000, 1_000_000_000), level)
+    # The image is 4 s late, and its fix another 4 s.
+    assert track.at((1, 500_500_000), 1.0) is not None
+
+
+def test_a_sample_that_nobody_stamped_is_none() -> None:
+    track = SampleTrack()
+    with pytest.raises(PoseError, match='its stamp is zero'):
+        track.add((0, 0), pose_at(0.0))
+    assert track.at((0, 0), 1.0) is None
 
 
 def test_samples_of_a_clock_that_was_set_back_are_not_mixed_with_those_before() -> None:

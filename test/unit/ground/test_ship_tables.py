@@ -295,6 +295,27 @@ def test_chips_without_objects_are_joined_by_place(tmp_path) -> None:
     assert [row['views'] for row in table(tmp_path, '--merge-within', '10')] == [2, 1]
 
 
+@pytest.mark.parametrize('form', LIST_SUFFIXES)
+@pytest.mark.parametrize('fraction', [0.0006, 0.9994])
+def test_ships_of_one_image_are_two_in_a_list_and_on_a_chip(tmp_path, form, fraction) -> None:
+    place = {'latitude': POSITION['lat'], 'longitude': POSITION['lon']}
+    put_list(tmp_path / 'box', 'l', report('s-1', fraction, **place), form=form)
+    # Of that ship only the chip came down.
+    put_chip(tmp_path / 'box', 'a', fraction, object='s-2', view=1, rank=0.1)
+    assert len(table(tmp_path, '--merge-within', '20')) == 2
+    put_chip(tmp_path / 'box', 'b', 50.0, object='s-3', view=1, rank=0.1)
+    assert len(table(tmp_path, '--merge-within', '20')) == 2
+
+
+def test_ships_of_one_image_are_two_in_two_messages(tmp_path) -> None:
+    put_list(tmp_path / 'box', 'l', report('s-1', 4.0), report('s-2', 600.0), form='message')
+    put_list(tmp_path / 'box', 'm', report('s-3', 4.0), form='message')
+    rows = table(tmp_path, '--merge-within', '20')
+    # Ages in the first message are multiples of 10 s: the ship of both times is either of the two.
+    assert len(rows) == 2
+    assert {'s-1', 's-3'} not in [{row['id'], row['other_ids']} for row in rows]
+
+
 def test_many_ships_of_one_place_and_time_are_soon_told_apart(tmp_path) -> None:
     ships = [report(f'x-{number}') for number in range(2000)]
     put_list(tmp_path / 'box', 'l', *ships, report('late', 5.0))
@@ -330,7 +351,9 @@ def test_a_condition_that_makes_no_sense_is_refused(tmp_path, capsys, option) ->
     except SystemExit as error:
         code = error.code
     assert code in (1, 2)
-    assert option[0] in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert option[0] in said
+    assert '_' not in said.splitlines()[-1].replace(tmp_path.name, '')
     assert not (tmp_path / 'a.csv').exists()
 
 

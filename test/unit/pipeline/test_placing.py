@@ -85,12 +85,14 @@ def hulls(scene, lengths=LENGTHS, courses=COURSES):
     return latitude, longitude, courses, lengths, lengths / 6
 
 
-def message_of(boxes, stamp=MIDDLE):
+def message_of(boxes, stamp=MIDDLE, ids=None):
     """Write the boxes as a detector does."""
-    rows = boxes.xywhr[:, [0, 1, 4, 2, 3]]
-    return encode(
-        Message(stamp=stamp, detections=tuple(Detection(bbox=tuple(row), id='') for row in rows))
+    rows = boxes.xywhr[:, [0, 1, 4, 2, 3]].tolist()
+    names = [''] * len(rows) if ids is None else ids
+    detections = tuple(
+        Detection(bbox=tuple(row), id=name) for row, name in zip(rows, names, strict=True)
     )
+    return encode(Message(stamp=stamp, detections=detections))
 
 
 class Tracker:
@@ -438,6 +440,58 @@ def test_ships_with_a_place_are_noted_for_the_next_list() -> None:
     assert [ship.length_m for ship in ships] == pytest.approx(truth[3][:4], rel=0.01)
     assert [ship.course for ship in ships] == pytest.approx(truth[2][:4], abs=0.1)
     assert all(ship.first == 100_500_000_000 for ship in ships)
+
+
+def listed(ids):
+    """Note an image with ids of a detector in a run of their own; return ships and outcome."""
+    collector, tracker = ShipCollector(), Tracker(known(pose_of(ORBIT)))
+    tracker.identifier = ShipIdentifier(known(pose_of(ORBIT)), collector)
+    message = message_of(ORBIT.boxes(*hulls(ORBIT)), ids=ids)
+    outcome, tracked, _, _ = tracker.answer(message, camera_of(ORBIT))
+    assert tracked.ids() == ids
+    return collector.take(), outcome
+
+
+def test_ids_of_another_tracker_are_listed_behind_a_session_as_in_chips() -> None:
+    ids = [*'1234', '09af31bc-5']
+    names = [[ship.id for ship in listed(ids)[0]] for _ in range(2)]
+    for listed_ids in names:
+        assert [name.partition('-')[2] for name in listed_ids] == [*'12345']
+        assert listed_ids[4] == '09af31bc-5'
+    # Numbers begin again with each run, and name other ships then.
+    assert not {*names[0][:4]} & {*names[1][:4]}
+
+
+def test_ids_that_several_ships_of_an_image_share_join_no_ships_in_a_list() -> None:
+    ships, outcome = listed(['ship', 'ship', 'ship', 'tug', 'ship'])
+    assert [ship.id.partition('-')[2] for ship in ships] == ['tug']
+    assert outcome.counts['ships_unlisted'] == 4
+
+
+def test_a_camera_of_another_size_or_frame_than_the_image_is_said() -> None:
+    boxes, source = ORBIT.boxes(*hulls(ORBIT)), known(pose_of(ORBIT))
+    given = {'image_width': 2048, 'image_height': 1536}
+    outcome, _, positions, _ = placed(ORBIT, source, boxes, **given)
+    assert np.isnan(positions.points).all()
+    assert outcome.counts['ships_unplaced.no_camera'] == len(boxes)
+    assert 'camera_info is of 4096 x 3072 pixels' in outcome.complaints['no_camera']
+    given = {'image_width': 4096, 'image_height': 3071}
+    for frame, count in (('camera', 0), ('other', 1)):
+        camera = camera_of(ORBIT, frame_id=frame)
+        outcome, _, positions, _ = placed(ORBIT, source, boxes, camera, **given)
+        assert_right(positions, hulls(ORBIT))
+        assert outcome.counts.get('frame_ids_differ.camera_info', 0) == count
+
+
+def test_a_pose_of_another_frame_than_the_image_is_counted_and_said() -> None:
+    boxes = ORBIT.boxes(*hulls(ORBIT))
+    for told, count in (('', 0), ('camera', 0), ('base_link', 1)):
+        source = known(pose_of(ORBIT)._replace(child_frame_id=told))
+        message = encode(Message(stamp=MIDDLE, frame_id='camera'))
+        outcome, *_ = Tracker(source).answer(message, camera_of(ORBIT))
+        assert outcome.counts.get('frame_ids_differ.camera_pose', 0) == count
+    assert "a pose of frame 'base_link'" in outcome.complaints['pose of another frame']
+    assert_right(placed(ORBIT, source, boxes)[2], hulls(ORBIT))
 
 
 def test_an_image_without_ships_adds_none_to_the_next_list() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which ship a chip shows: ids of detections, made unlike those of any other run."""
+"""Which ship a detection shows: ids of detections, made unlike those of any other run."""
 
 from __future__ import annotations
 
