@@ -174,6 +174,18 @@ def test_a_binary_message_is_read_without_its_json(tmp_path) -> None:
     assert row['length_m'] == pytest.approx(30.0, rel=0.01)
 
 
+def test_numbers_have_as_many_decimals_as_they_are_worth(tmp_path) -> None:
+    ship = report('x-7', sigma_m=(5.0, 4.0, 30.0), score=0.43)
+    put_list(tmp_path / 'box', 'm', ship, form='message')
+    (row,) = table(tmp_path)
+    digits = {name: len(repr(row[name]).partition('.')[2]) for name in row if row[name] is not None}
+    # Steps of a message are binary or logarithmic fractions.
+    assert (digits['latitude'], digits['longitude'], digits['length_m']) == (7, 7, 1)
+    numbers = [name for name, column in SHIP_COLUMNS.items() if column.kind == 'number']
+    places = ('latitude', 'longitude')
+    assert max(digits.get(name, 0) for name in numbers if name not in places) == 3
+
+
 @pytest.mark.parametrize('max_bytes', [0, 340])
 def test_the_lists_that_a_spool_releases_are_read(tmp_path, capsys, max_bytes) -> None:
     lists = ListSpool(tmp_path / 'spool', print)
