@@ -45,6 +45,25 @@ def test_marks_and_labels_lie_in_the_map_and_stand_out(page, visit, width, schem
         assert colors[0] != colors[1]
 
 
+def test_a_label_lies_over_marks_which_take_the_clicks(page, visit) -> None:
+    with visit(page, 360) as visited:
+        label = visited.page.locator('.parallel').first
+        covered = label.evaluate(
+            """(label) => {
+              const [inner, outer] = [label, label.parentElement].map(
+                (element) => element.getBoundingClientRect());
+              const x = inner.left + inner.width / 2, y = inner.top + inner.height / 2;
+              const mark = document.querySelector('a.mark');
+              mark.style.left = `${x - outer.left}px`;
+              mark.style.top = `${y - outer.top}px`;
+              const clicked = document.elementFromPoint(x, y) === mark;
+              label.style.pointerEvents = 'auto';
+              return [clicked, document.elementFromPoint(x, y) === label];
+            }"""
+        )
+        assert covered == [True, True]
+
+
 @pytest.mark.parametrize('width', [360, 1280])
 def test_a_mark_leads_to_the_card_of_its_ship(page, visit, width) -> None:
     with visit(page, width) as visited:
