@@ -96,3 +96,14 @@ def test_the_keyboard_comes_to_the_filters_before_the_marks(page, visit) -> None
     with visit(page) as visited:
         visited.page.keyboard.press('Tab')
         assert visited.page.evaluate('document.activeElement.name') == 'order'
+
+
+def test_on_paper_marks_keep_their_colour_and_cards_are_whole(page, visit) -> None:
+    with visit(page) as visited:
+        visited.page.emulate_media(media='print')
+        assert not visited.page.locator('.filters').is_visible()
+        style = '(element, name) => getComputedStyle(element)[name]'
+        mark = visited.page.locator('a.mark').first
+        assert mark.evaluate(style, 'printColorAdjust') == 'exact'
+        card = visited.page.locator('.card').first
+        assert card.evaluate(style, 'breakInside') == 'avoid'
