@@ -8,6 +8,8 @@ import pytest
 from outboxes import make_placed_outbox
 
 from obbhbb_ros.cli import main
+from obbhbb_ros.reports.ship_geojson import ship_geojson
+from obbhbb_ros.reports.ship_report import ShipReport
 
 pytestmark = pytest.mark.once
 pytest.importorskip('jinja2')
@@ -107,3 +109,16 @@ def test_on_paper_marks_keep_their_colour_and_cards_are_whole(page, visit) -> No
         assert mark.evaluate(style, 'printColorAdjust') == 'exact'
         card = visited.page.locator('.card').first
         assert card.evaluate(style, 'breakInside') == 'avoid'
+
+
+def test_a_page_of_ship_lists_alone_speaks_of_no_cards(tmp_path, visit) -> None:
+    known = {'course': 12.0, 'course_ambiguous': False, 'length_m': 30.0, 'width_m': 9.0}
+    ship = ShipReport(id='a-1', latitude=36.1, longitude=180.0, **known, first=5, last=5)
+    (tmp_path / 'ships_a_1.geojson.gz').write_bytes(ship_geojson([ship]))
+    path = tmp_path / 'gallery.html'
+    assert main(['gallery', str(tmp_path), '-o', str(path)]) == 0
+    with visit(path) as visited:
+        assert visited.page.locator('.mark').count() == 1
+        assert visited.page.locator('.filters').count() == 0
+        assert 'card, with' not in visited.page.locator('body').text_content()
+        assert '180°' in visited.page.locator('.meridian').all_text_contents()
