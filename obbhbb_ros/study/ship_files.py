@@ -29,6 +29,7 @@ from obbhbb_ros.files import read_bounded
 from obbhbb_ros.files import replacing
 from obbhbb_ros.files import write_pieces
 from obbhbb_ros.files import write_text
+from obbhbb_ros.labels.vector_files import GEOPACKAGE_OPTIONS
 from obbhbb_ros.labels.vector_files import save_frame
 from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.study.progress import printable
@@ -275,7 +276,7 @@ def _write_geopackage(path: Path, rows: Sequence[ShipRow]) -> None:
         if column.kind == 'time':
             frame[name] = frame[name].dt.tz_localize('UTC')
     with replacing(path) as whole:
-        options = {'engine': 'pyogrio', 'geometry_type': 'Point'}
+        options = {'engine': 'pyogrio', 'geometry_type': 'Point', **GEOPACKAGE_OPTIONS}
         save_frame(frame, whole, path, driver='GPKG', layer='ships', **options)
 
 

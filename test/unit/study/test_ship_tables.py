@@ -3,6 +3,8 @@
 
 import csv
 import json
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -403,6 +405,15 @@ def test_a_file_is_read_back_with_the_types_of_its_fields(box, tmp_path, suffix)
             else:
                 assert same(read[name], value), name
         assert (read.geometry.x, read.geometry.y) == (row['longitude'], row['latitude'])
+
+
+def test_a_geopackage_is_one_that_old_readers_know(box) -> None:
+    pytest.importorskip('pyogrio')
+    with closing(sqlite3.connect(written(box, '.gpkg'))) as database:
+        assert database.execute('PRAGMA user_version').fetchone() == (10200,)
+        # GDAL before 3.7 calls times without milliseconds non-conformant.
+        times = database.execute('SELECT DISTINCT length(first) FROM ships').fetchall()
+        assert times == [(len('2025-11-27T23:16:42.000Z'),)]
 
 
 def test_kml_has_places_names_and_times(box, tmp_path) -> None:
