@@ -30,6 +30,7 @@ from obbhbb_ros.files import replacing
 from obbhbb_ros.files import write_pieces
 from obbhbb_ros.files import write_text
 from obbhbb_ros.ground.ship_rows import ShipRow
+from obbhbb_ros.labels.vector_files import GEOPACKAGE_OPTIONS
 from obbhbb_ros.labels.vector_files import save_frame
 from obbhbb_ros.progress import printable
 from obbhbb_ros.reports.ship_report import ShipReport
@@ -37,6 +38,9 @@ from obbhbb_ros.reports.ship_report import ShipReport
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _MILLISECOND = timedelta(milliseconds=1)
 _SEPARATOR = '; '
+# As many as the JSON of chips has: the steps of messages fall between them.
+_PLACE_DECIMALS = 7
+_SIGMA_DECIMALS = 3
 # WGS84, as files beside a CSV table name it.
 _WKT = (
     'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563,'
@@ -69,17 +73,28 @@ def _text(name: str) -> ShipColumn:
     return ShipColumn('text', lambda row: printable(getattr(row.facts, name)) or None)
 
 
-def _number(name: str) -> ShipColumn:
-    return ShipColumn('number', lambda row: _real(getattr(row.facts, name)))
+def _number(name: str, decimals: int) -> ShipColumn:
+    return ShipColumn('number', lambda row: _real(getattr(row.facts, name), decimals))
 
 
 def _sigma(index: int) -> ShipColumn:
-    return ShipColumn('number', lambda row: _real((row.facts.sigma_m or [None] * 3)[index]))
+    return ShipColumn(
+        'number', lambda row: _real((row.facts.sigma_m or [None] * 3)[index], _SIGMA_DECIMALS)
+    )
 
 
-def _real(value: float | None) -> float | None:
+def _real(value: float | None, decimals: int) -> float | None:
     """Return a number as one with a point: readers take the type of a field from its values."""
-    return None if value is None else float(value)
+    return None if value is None else round(float(value), decimals)
+
+
+def _place(row: ShipRow) -> tuple[float, float]:
+    """Return longitude and latitude."""
+    longitude, latitude = (
+        round(float(degrees), _PLACE_DECIMALS)
+        for degrees in (row.facts.longitude, row.facts.latitude)
+    )
+    return longitude, latitude
 
 
 def _time(name: str) -> ShipColumn:
@@ -99,20 +114,20 @@ def _joined(texts: Iterable[object]) -> str | None:
 SHIP_COLUMNS = {
     'id': _text('id'),
     'class': _text('class_id'),
-    'score': _number('score'),
-    'latitude': _number('latitude'),
-    'longitude': _number('longitude'),
+    'score': _number('score', 3),
+    'latitude': _number('latitude', _PLACE_DECIMALS),
+    'longitude': _number('longitude', _PLACE_DECIMALS),
     'sigma_major_m': _sigma(0),
     'sigma_minor_m': _sigma(1),
     'sigma_azimuth': _sigma(2),
-    'length_m': _number('length_m'),
-    'width_m': _number('width_m'),
-    'course': _number('course'),
+    'length_m': _number('length_m', 1),
+    'width_m': _number('width_m', 1),
+    'course': _number('course', 1),
     'course_ambiguous': ShipColumn('truth', _of_facts('course_ambiguous')),
-    'speed': _number('speed'),
-    'speed_sigma': _number('speed_sigma'),
-    'course_over_ground': _number('course_over_ground'),
-    'course_over_ground_sigma': _number('course_over_ground_sigma'),
+    'speed': _number('speed', 1),
+    'speed_sigma': _number('speed_sigma', _SIGMA_DECIMALS),
+    'course_over_ground': _number('course_over_ground', 1),
+    'course_over_ground_sigma': _number('course_over_ground_sigma', _SIGMA_DECIMALS),
     'first': _time('first'),
     'last': _time('last'),
     'views': ShipColumn('count', _of_facts('views')),
@@ -158,10 +173,9 @@ def _write_geojson(path: Path, rows: Sequence[ShipRow]) -> None:
 
 
 def _feature(row: ShipRow) -> dict[str, Any]:
-    place = [row.facts.longitude, row.facts.latitude]
     return {
         'type': 'Feature',
-        'geometry': {'type': 'Point', 'coordinates': place},
+        'geometry': {'type': 'Point', 'coordinates': _place(row)},
         'properties': {name: column.of(row) for name, column in SHIP_COLUMNS.items()},
     }
 
@@ -214,13 +228,14 @@ def _write_kml(path: Path, rows: Sequence[ShipRow]) -> None:
 
 def _placemark(row: ShipRow) -> str:
     facts, begin, end = row.facts, *(utc_time(time) for time in (row.facts.first, row.facts.last))
+    longitude, latitude = _place(row)
     name = escape(printable(facts.id or facts.class_id or 'ship'))
     # Viewers take the description for HTML.
     description = escape(escape(described(facts)))
     return (
         f'<Placemark><name>{name}</name><description>{description}</description>'
         f'<TimeSpan><begin>{_time_text(begin)}</begin><end>{_time_text(end)}</end></TimeSpan>'
-        f'<Point><coordinates>{facts.longitude!r},{facts.latitude!r}</coordinates></Point>'
+        f'<Point><coordinates>{longitude!r},{latitude!r}</coordinates></Point>'
         '</Placemark>\n'
     )
 
@@ -255,13 +270,13 @@ def _write_geopackage(path: Path, rows: Sequence[ShipRow]) -> None:
         name: np.array([_naive(column.of(row)) for row in rows], kinds[column.kind])
         for name, column in SHIP_COLUMNS.items()
     }
-    points = shapely.points(*_places(rows))
+    points = _points(rows)
     frame = geopandas.GeoDataFrame(columns, geometry=points, crs='EPSG:4326')
     for name, column in SHIP_COLUMNS.items():
         if column.kind == 'time':
             frame[name] = frame[name].dt.tz_localize('UTC')
     with replacing(path) as whole:
-        options = {'engine': 'pyogrio', 'geometry_type': 'Point'}
+        options = {'engine': 'pyogrio', 'geometry_type': 'Point', **GEOPACKAGE_OPTIONS}
         save_frame(frame, whole, path, driver='GPKG', layer='ships', **options)
 
 
@@ -270,9 +285,9 @@ def _naive(value: Any) -> Any:
     return value.replace(tzinfo=None) if isinstance(value, datetime) else value
 
 
-def _places(rows: Sequence[ShipRow]) -> tuple[list[float], list[float]]:
-    """List longitudes and latitudes."""
-    return [row.facts.longitude for row in rows], [row.facts.latitude for row in rows]
+def _points(rows: Sequence[ShipRow]) -> Any:
+    """Give an array of points, of shapely."""
+    return shapely.points(np.array([_place(row) for row in rows]).reshape(-1, 2))
 
 
 def _write_parquet(path: Path, rows: Sequence[ShipRow]) -> None:
@@ -290,7 +305,7 @@ def _write_parquet(path: Path, rows: Sequence[ShipRow]) -> None:
         name: pa.array([column.of(row) for row in rows], kinds[column.kind])
         for name, column in SHIP_COLUMNS.items()
     }
-    points = shapely.to_wkb(shapely.points(*_places(rows)))
+    points = shapely.to_wkb(_points(rows))
     table = pa.table({**columns, 'geometry': pa.array(points.tolist(), pa.binary())})
     column = {'encoding': 'WKB', 'geometry_types': ['Point']}
     geo = {'version': '1.0.0', 'primary_column': 'geometry', 'columns': {'geometry': column}}

@@ -177,15 +177,16 @@ def _label(seconds: int, sides: str) -> str:
 
     Examples
     --------
-    >>> [_label(seconds, 'EW') for seconds in (0, 19800, -19445, 190 * 3600)]
-    ['0°', '5°30′ E', '5°24′05″ W', '170° W']
+    >>> [_label(seconds, 'EW') for seconds in (0, 19800, -19445, 190 * 3600, 180 * 3600)]
+    ['0°', '5°30′ E', '5°24′05″ W', '170° W', '180°']
     """
     if sides == 'EW':
         seconds = (seconds + 648_000) % 1_296_000 - 648_000
     degrees, rest = divmod(abs(seconds), 3600)
     minutes, left = divmod(rest, 60)
     text = f'{degrees}°' + (f'{minutes:02d}′' if rest else '') + (f'{left:02d}″' if left else '')
-    return f'{text} {sides[seconds < 0]}' if seconds else text
+    # Neither west nor east.
+    return text if abs(seconds) in (0, 648_000) else f'{text} {sides[seconds < 0]}'
 
 
 def _round_length(metres: float) -> float:

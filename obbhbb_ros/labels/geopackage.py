@@ -19,7 +19,7 @@ def _read(file: LabelFile) -> Iterator[ImageLabels]:
 
 
 def _write_boxes(path: Path, images: list[ImageBoxes]) -> None:
-    vector_files.write_features(path, 'GPKG', images)
+    vector_files.write_features(path, 'GPKG', images, **vector_files.GEOPACKAGE_OPTIONS)
 
 
 FORMAT = Format(

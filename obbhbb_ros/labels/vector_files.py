@@ -32,6 +32,8 @@ from obbhbb_ros.labels.label_file import LabelFile
 RESERVED = (*shapes.FEATURE_FIELDS, 'geometry', 'geom', 'fid', 'ogc_fid')
 # Whole numbers up to here are the same as floating-point numbers.
 EXACT = 2**53
+GEOPACKAGE_OPTIONS = {'VERSION': '1.2'}
+"""Options of a GeoPackage. GDAL before 3.7, as in QGIS 3.22, warns of a later version."""
 
 
 def read_features(file: LabelFile, what: str) -> Iterator[ImageLabels]:

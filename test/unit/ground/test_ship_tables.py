@@ -3,6 +3,8 @@
 
 import csv
 import json
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -172,6 +174,18 @@ def test_a_binary_message_is_read_without_its_json(tmp_path) -> None:
     assert (row['id'], row['class']) == ('x-7', 'tug')
     assert row['latitude'] == pytest.approx(36.1, abs=1e-5)
     assert row['length_m'] == pytest.approx(30.0, rel=0.01)
+
+
+def test_numbers_have_as_many_decimals_as_they_are_worth(tmp_path) -> None:
+    ship = report('x-7', sigma_m=(5.0, 4.0, 30.0), score=0.43)
+    put_list(tmp_path / 'box', 'm', ship, form='message')
+    (row,) = table(tmp_path)
+    digits = {name: len(repr(row[name]).partition('.')[2]) for name in row if row[name] is not None}
+    # Steps of a message are binary or logarithmic fractions.
+    assert (digits['latitude'], digits['longitude'], digits['length_m']) == (7, 7, 1)
+    numbers = [name for name, column in SHIP_COLUMNS.items() if column.kind == 'number']
+    places = ('latitude', 'longitude')
+    assert max(digits.get(name, 0) for name in numbers if name not in places) == 3
 
 
 @pytest.mark.parametrize('max_bytes', [0, 340])
@@ -414,6 +428,15 @@ def test_a_file_is_read_back_with_the_types_of_its_fields(box, tmp_path, suffix)
             else:
                 assert same(read[name], value), name
         assert (read.geometry.x, read.geometry.y) == (row['longitude'], row['latitude'])
+
+
+def test_a_geopackage_is_one_that_old_readers_know(box) -> None:
+    pytest.importorskip('pyogrio')
+    with closing(sqlite3.connect(written(box, '.gpkg'))) as database:
+        assert database.execute('PRAGMA user_version').fetchone() == (10200,)
+        # GDAL before 3.7 calls times without milliseconds non-conformant.
+        times = database.execute('SELECT DISTINCT length(first) FROM ships').fetchall()
+        assert times == [(len('2025-11-27T23:16:42.000Z'),)]
 
 
 def test_kml_has_places_names_and_times(box, tmp_path) -> None:

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 import warnings
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -231,6 +233,14 @@ def test_vector_files_in_degrees_are_converted_on_the_ground(tmp_path: Path, suf
     written = geopandas.read_file(tmp_path / 'out.geojson')
     assert written['length'].tolist() == pytest.approx([130.0, 130.0], rel=2e-3)
     assert written.crs.to_string() in {'OGC:CRS84', 'EPSG:4326'}
+
+
+def test_a_geopackage_is_of_a_version_that_old_readers_know(tmp_path: Path) -> None:
+    pytest.importorskip('pyogrio')
+    _frame('EPSG:32633').to_file(tmp_path / 'in.fgb')
+    convert(tmp_path / 'in.fgb', tmp_path / 'out.gpkg', HullRule())
+    with closing(sqlite3.connect(tmp_path / 'out.gpkg')) as database:
+        assert database.execute('PRAGMA user_version').fetchone() == (10200,)
 
 
 def test_an_undefined_system_of_a_geopackage_is_none(tmp_path: Path) -> None:
