@@ -212,17 +212,12 @@ def place(
         middle = 0.5 * (hits[:, 0] + hits[:, 1])
         latitude, longitude, _ = to_geodetic(middle.T)
         axes = east_north_up(latitude, longitude).transpose(1, 2, 0)
-        ahead, aside = (_on_axes(axes, hits[:, i] - hits[:, i + 1]) for i in (0, 2))
-        sight = origins.mean(axis=1) - middle
-        up = (axes[2] * sight).sum(axis=0) / np.sqrt((sight * sight).sum(axis=0))
-        elevation = np.degrees(np.arcsin(np.clip(up, -1.0, 1.0)))
+        elevation = _elevations(axes[2], origins.mean(axis=1) - middle)
         unplaced = _reasons(boxes, rays, is_above(pose.position, surface_height))
         unplaced[(unplaced == 0) & ~np.isfinite(hits[0]).all(axis=0)] = Unplaced.ABOVE_HORIZON
         unplaced[(unplaced == 0) & ~(elevation >= min_elevation)] = Unplaced.LOW
-        length = np.hypot(*ahead)
-        width = np.abs(ahead[0] * aside[1] - ahead[1] * aside[0]) / length
-        course = np.degrees(np.arctan2(*ahead)) % np.where(boxes.bow, 360.0, 180.0)
-        numbers = np.array((*middle, latitude, longitude, length, width, course, elevation))
+        sizes_and_course = _hulls(axes, hits, boxes.bow)
+        numbers = np.array((*middle, latitude, longitude, *sizes_and_course, elevation))
         numbers[:, unplaced > 0] = np.nan
         spread = covariances(pose, origins[:, :2], hits[:, :2], axes[:2], surface_height)
         if spread is not None:
@@ -240,6 +235,22 @@ def place(
         covariance=spread,
         unplaced=unplaced,
     )
+
+
+def _elevations(up: FloatArray, sight: FloatArray) -> FloatArray:
+    """Give how high, degrees, the camera stands above horizons, by its direction, (3, N)."""
+    sine = (up * sight).sum(axis=0) / np.sqrt((sight * sight).sum(axis=0))
+    return np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))
+
+
+def _hulls(
+    axes: FloatArray, hits: FloatArray, bow: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Give length, width (m) and course (degrees), (N,), of what boxes hit, (3, 4, N)."""
+    ahead, aside = (_on_axes(axes, hits[:, i] - hits[:, i + 1]) for i in (0, 2))
+    length = np.hypot(*ahead)
+    width = np.abs(ahead[0] * aside[1] - ahead[1] * aside[0]) / length
+    return length, width, np.degrees(np.arctan2(*ahead)) % np.where(bow, 360.0, 180.0)
 
 
 def _on_axes(axes: FloatArray, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
