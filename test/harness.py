@@ -53,7 +53,7 @@ from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros.nodes.lifecycle.node_topics import message_type
-from obbhbb_ros.nodes.play_detections import image_message
+from obbhbb_ros.nodes.player_messages import image_message
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.settings.parameter_file import yaml_value
 from obbhbb_ros.wire.layouts import INPUT_TYPES

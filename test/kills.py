@@ -29,7 +29,7 @@ from ships import detections
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.nodes.play_detections import image_message
+from obbhbb_ros.nodes.player_messages import image_message
 from obbhbb_ros.spool.books import Status
 from obbhbb_ros.spool.console import SpoolConsole
 

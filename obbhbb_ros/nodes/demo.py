@@ -29,9 +29,9 @@ from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.methods import ONBOARD_METHODS
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.nodes.demo_chain import DemoChain
-from obbhbb_ros.nodes.play_detections import camera_info_message
-from obbhbb_ros.nodes.play_detections import detections_message
-from obbhbb_ros.nodes.play_detections import image_message
+from obbhbb_ros.nodes.player_messages import camera_info_message
+from obbhbb_ros.nodes.player_messages import detections_message
+from obbhbb_ros.nodes.player_messages import image_message
 from obbhbb_ros.wire.buffer import Buffer
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.stamp import nanoseconds_of

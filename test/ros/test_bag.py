@@ -31,7 +31,7 @@ from obbhbb_ros.bags.replay import ReplayOptions
 from obbhbb_ros.bags.replay import add_boxes
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.nodes.lifecycle.node_topics import message_type
-from obbhbb_ros.nodes.play_detections import detections_message
+from obbhbb_ros.nodes.player_messages import detections_message
 from obbhbb_ros.settings.parameter_file import yaml_value
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 

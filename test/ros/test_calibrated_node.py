@@ -12,7 +12,7 @@ from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import convert_by_rule
 from obbhbb_ros.nodes.demo import xyxy_of
-from obbhbb_ros.nodes.play_detections import detections_message
+from obbhbb_ros.nodes.player_messages import detections_message
 from obbhbb_ros.study.harbour import harbour
 from obbhbb_ros.study.rule_file import yaml_text
 

@@ -30,7 +30,7 @@ from obbhbb_ros.downlink.chips import PIXEL_FORMATS
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import encode
 from obbhbb_ros.labels import write_labels
-from obbhbb_ros.nodes.play_detections import image_message
+from obbhbb_ros.nodes.player_messages import image_message
 from obbhbb_ros.study.harbour import harbour
 
 # Long; what depends on the versions of NumPy and Pillow is tested without DDS as well.

@@ -23,7 +23,7 @@ from ships import detections
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.nodes.play_detections import image_message
+from obbhbb_ros.nodes.player_messages import image_message
 
 # Long, and about DDS, SQLite and files rather than NumPy and Pillow.
 pytestmark = pytest.mark.once

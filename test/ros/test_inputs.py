@@ -26,8 +26,8 @@ from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.labels.label_file import Box
 from obbhbb_ros.labels.label_file import LabelFile
-from obbhbb_ros.nodes.play_detections import detections_message
-from obbhbb_ros.nodes.play_detections import yolo_message
+from obbhbb_ros.nodes.player_messages import detections_message
+from obbhbb_ros.nodes.player_messages import yolo_message
 
 DATA = Path(__file__).parents[1] / 'data'
 Points = Sequence[Sequence[float]]

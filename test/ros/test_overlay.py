@@ -35,7 +35,7 @@ from visualization_msgs.msg import ImageMarker
 from obbhbb_ros.colors import LAYER_COLORS
 from obbhbb_ros.downlink.chips import CodecSettings
 from obbhbb_ros.downlink.chips import encode
-from obbhbb_ros.nodes.play_detections import image_message
+from obbhbb_ros.nodes.player_messages import image_message
 
 # Long; what depends on the versions of NumPy and Pillow is tested without DDS as well.
 pytestmark = pytest.mark.once

@@ -22,7 +22,7 @@ from sensor_msgs.msg import Image
 from ships import detections
 from vision_msgs.msg import Detection2DArray
 
-from obbhbb_ros.nodes.play_detections import image_message
+from obbhbb_ros.nodes.player_messages import image_message
 from obbhbb_ros.nodes.running.executables import PAYLOAD_NODES
 from obbhbb_ros.nodes.running.last_run import read_run
 

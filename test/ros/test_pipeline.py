@@ -23,10 +23,10 @@ from sensor_msgs.msg import RegionOfInterest
 from std_msgs.msg import Header
 
 from obbhbb_ros.labels import read_labels
-from obbhbb_ros.nodes.play_detections import detections_message
-from obbhbb_ros.nodes.play_detections import polygon_message
-from obbhbb_ros.nodes.play_detections import polygons_message
-from obbhbb_ros.nodes.play_detections import yolo_message
+from obbhbb_ros.nodes.player_messages import detections_message
+from obbhbb_ros.nodes.player_messages import polygon_message
+from obbhbb_ros.nodes.player_messages import polygons_message
+from obbhbb_ros.nodes.player_messages import yolo_message
 from obbhbb_ros.pipeline.batch import Batch
 from obbhbb_ros.settings.obb_to_hbb import OBB_TO_HBB
 from obbhbb_ros.wire.buffer import WireError

@@ -27,10 +27,10 @@ from vision_msgs.msg import Detection2DArray
 
 from obbhbb_ros import OrientedBoxes
 from obbhbb_ros import convert
+from obbhbb_ros.data import HARBOUR_SIZE
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import read_labels
 from obbhbb_ros.nodes.lifecycle.node_topics import message_type
-from obbhbb_ros.nodes.play_detections import HARBOUR_SIZE
 from obbhbb_ros.wire.layouts import INPUT_TYPES
 
 # Long; what depends on the versions of NumPy and Pillow is tested without DDS as well.
