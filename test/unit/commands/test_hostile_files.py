@@ -24,7 +24,7 @@ from obbhbb_ros.files import read_bounded
 
 GIANT = 2**33
 MEMORY = 3 * 2**29
-SHIPS = Path(__file__).parents[1] / 'data/real_ships_bag'
+SHIPS = Path(__file__).parents[2] / 'data/real_ships_bag'
 
 
 def run(*words: object) -> subprocess.CompletedProcess[str]:

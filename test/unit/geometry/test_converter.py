@@ -24,7 +24,7 @@ from obbhbb_ros.geometry.converter import convert_with_diagnostics
 from obbhbb_ros.geometry.converter import half_extents
 from obbhbb_ros.geometry.methods import METHODS
 
-DATA = Path(__file__).parents[1] / 'data'
+DATA = Path(__file__).parents[2] / 'data'
 TUNABLE = [name for name, method in METHODS.items() if method.tunable]
 EVEN = [name for name in METHODS if name != 'shape_aware']
 
