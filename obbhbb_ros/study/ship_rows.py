@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field
 from dataclasses import replace
-from functools import reduce
 from itertools import product
 from pathlib import Path
 
@@ -37,7 +36,7 @@ class ShipRow:
     Attributes
     ----------
     facts : ShipReport
-        Its facts. Place, size and course are those with the smallest uncertainty, else the last;
+        Its facts. Place, size and course are those with the smallest uncertainty, or the last;
         class and score those of the highest score; speed the last.
     best_view : ReceivedChip or None
         Its best chip of which the file is there.
@@ -164,7 +163,7 @@ def chip_report(chip: ReceivedChip) -> ShipReport | None:
 
 def _combined(reports: Iterable[ShipReport]) -> ShipReport:
     """Take the best of each fact, see `joined_reports`."""
-    return reduce(joined_reports, sorted(reports, key=lambda report: report.last))
+    return joined_reports(*sorted(reports, key=lambda report: report.last))
 
 
 def _spread_order(report: ShipReport) -> tuple[float, int]:

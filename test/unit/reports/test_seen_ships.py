@@ -141,7 +141,25 @@ def test_two_lists_of_one_ship_are_joined() -> None:
     assert joined_reports(replace(early, sigma_m=None), late).sigma_m == late.sigma_m
 
 
-def test_of_two_lists_with_like_uncertainty_the_one_with_more_views_counts() -> None:
+@pytest.mark.parametrize('sigma', [None, 3.0])
+@pytest.mark.parametrize('views', [1, 2, 5])
+def test_a_ship_under_way_is_where_it_was_last_however_many_lists_are_joined(sigma, views) -> None:
+    collector, reports = ShipCollector(), []
+    for second in range(6 * views):
+        note(collector, second, [[200 + 20 * second, 500, 60, 10, 0.0]], ['s-1'], sigma=sigma)
+        if second % views == views - 1:
+            reports += collector.take()
+    places = [ship.longitude for ship in reports]
+    # One after the other, as they wait in a spool, and all at once, as they came down.
+    waiting = reports[0]
+    for report in reports[1:]:
+        waiting = joined_reports(waiting, report)
+    for ship in (waiting, joined_reports(*reports)):
+        assert ship.longitude == places[-1]
+        assert ship.views == 6 * views
+
+
+def test_of_two_lists_with_like_uncertainty_the_one_with_the_whole_ship_counts() -> None:
     collector = ShipCollector()
     for second in range(3):
         note(collector, second, [[300, 500, 60, 10, 0.0]], ['s-1'], sigma=3.0)
