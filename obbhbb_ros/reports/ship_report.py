@@ -11,6 +11,7 @@ from functools import reduce
 from obbhbb_ros.errors import ObbhbbError
 
 __all__ = [
+    'ALIKE',
     'MAX_LIST_BYTES',
     'MAX_SHIPS',
     'ShipListError',
@@ -25,8 +26,8 @@ MAX_LIST_BYTES = 2**24
 MAX_SHIPS = 20_000
 """Ships that are remembered until they are listed, or wait in a list."""
 
-# Uncertainties, and lengths, that differ by less do not say which report is better.
-_ALIKE = 0.9
+ALIKE = 0.9
+"""Uncertainties, and lengths, of a greater ratio do not say which view of a ship is better."""
 
 
 class ShipListError(ObbhbbError, ValueError):
@@ -156,7 +157,7 @@ def _better(earlier: ShipReport, later: ShipReport) -> ShipReport:
     first, second = (ship.sigma_m[0] if ship.sigma_m else None for ship in (earlier, later))
     if (first is None) != (second is None):
         return earlier if second is None else later
-    if first is not None and second is not None and not _ALIKE * first <= second <= first / _ALIKE:
+    if first is not None and second is not None and not ALIKE * first <= second <= first / ALIKE:
         return earlier if first < second else later
-    is_cut = later.views < earlier.views and later.length_m < _ALIKE * earlier.length_m
+    is_cut = later.views < earlier.views and later.length_m < ALIKE * earlier.length_m
     return earlier if is_cut else later

@@ -53,6 +53,26 @@ def test_the_view_with_the_smallest_uncertainty_tells_where_a_ship_is() -> None:
     assert collector.take() == []
 
 
+@pytest.mark.parametrize('sigma', [None, 3.0])
+def test_of_alike_views_the_last_tells_where_a_ship_under_way_is(sigma) -> None:
+    collector = ShipCollector()
+    for second in range(20):
+        # From the middle of the image to its border; the places are known a little worse there.
+        rows = [[500 + 20 * second, 500, 60, 10, 0.0]]
+        note(collector, second, rows, ['s-1'], sigma=sigma and sigma + 0.01 * second)
+    (ship,) = collector.take()
+    assert ship.longitude == places_of(rows).longitude[0]
+
+
+def test_views_that_are_a_little_worse_each_are_not_alike_in_the_end() -> None:
+    collector = ShipCollector()
+    for second in range(20):
+        note(collector, second, [[300 + second, 500, 60, 10, 0.0]], ['s-1'], sigma=3.0 + second / 8)
+    note(collector, 1, [[100, 500, 60, 10, 0.0]], ['s-1'], sigma=3.0)
+    (ship,) = collector.take()
+    assert ship.longitude == places_of([[302, 500, 60, 10, 0.0]]).longitude[0]
+
+
 def test_a_whole_ship_comes_before_one_that_the_border_cuts() -> None:
     collector = ShipCollector()
     note(collector, 0, [[20, 500, 40, 10, 0.0]], ['s-1'], whole=[False], sigma=1.0)
