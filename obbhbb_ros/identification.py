@@ -26,6 +26,7 @@ from obbhbb_ros.pipeline import NOBODY
 from obbhbb_ros.pipeline import OTHER_POSE
 from obbhbb_ros.pipeline import ConversionOutcome
 from obbhbb_ros.pipeline import Output
+from obbhbb_ros.pipeline import angle_doubts
 from obbhbb_ros.pipeline import camera_doubt
 from obbhbb_ros.pipeline import known_image_size
 from obbhbb_ros.pipeline import no_size_complaint
@@ -153,6 +154,7 @@ class ShipIdentifier:
             (used, {}),
             _placing(placed, len(own) - len(rows)),
             self._id_doubts(ids),
+            _angle_doubts(detections, settings),
             self._stamp_doubt(detections.stamp),
             camera_doubt(detections.frame_id, camera if used or placed else None),
             self._pose_doubt(detections.frame_id),
@@ -302,6 +304,14 @@ def _untracked(
         f'{"not followed" if valid[untracked.argmax()] else "invalid"}'
     )
     return counts, {'untracked': text}
+
+
+def _angle_doubts(detections: Detections, settings: TrackerSettings) -> Finding:
+    """Count angles that are hardly radians, and complain of them: courses would be wrong."""
+    theta = detections.xywhr()[:, 4]
+    doubts = [*angle_doubts(theta, settings.input_frame, detections.stamp)]
+    counts = {doubt.key: len(doubt.rows) for doubt, _ in doubts}
+    return counts, {doubt.key: text for doubt, text in doubts}
 
 
 def _image_boxes(

@@ -30,6 +30,7 @@ from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import half_extents
 from obbhbb_ros.geometry.converter import to_xyxy
+from obbhbb_ros.geometry.input_frame import InputFrame
 from obbhbb_ros.plausibility import Doubt
 from obbhbb_ros.plausibility import OutsideWatch
 from obbhbb_ros.plausibility import doubtful_angles
@@ -39,6 +40,7 @@ from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.wire.camera import WireCamera
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import InputType
+from obbhbb_ros.wire.stamp import Stamp
 from obbhbb_ros.wire.stamp import stamp_text
 
 OUTER = (HullRule('outer'),)
@@ -211,6 +213,33 @@ def outside_complaint(watch: OutsideWatch, outcome: ConversionOutcome) -> dict[s
         'outside': f'{text}: is camera_info, or image_width and image_height, that of the image '
         'that the detector saw?'
     }
+
+
+def angle_doubts(theta: FloatArray, frame: InputFrame, stamp: Stamp) -> Iterator[tuple[Doubt, str]]:
+    """
+    List angles of a message that are hardly radians, with a text for an operator.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (N,)
+        Angles as in the message.
+    frame : InputFrame
+        Tells their unit.
+    stamp : Stamp
+        Stamp of the message.
+    """
+    if frame.theta_scale == 1.0:
+        for doubt in doubtful_angles(theta):
+            yield doubt, _text_of(doubt, theta, stamp)
+
+
+def _text_of(doubt: Doubt, values: FloatArray, stamp: Stamp) -> str:
+    """Say which detections are doubtful, and why."""
+    first = doubt.rows[0]
+    return (
+        f'{len(doubt.rows)} of {len(values)} detections at stamp {stamp_text(stamp)} have '
+        f'{doubt.what}; index {first} has {values[first]:.4g}: {doubt.cause}'
+    )
 
 
 def known_image_size(
@@ -428,23 +457,12 @@ class Batch:
 
         Scores are looked at only where a plan has ranked by them: they are read already.
         """
-        if self._settings.input_frame.theta_scale == 1.0:
-            for doubt in doubtful_angles(self._theta):
-                yield doubt, self._text_of(doubt, self._theta)
+        yield from angle_doubts(self._theta, self._settings.input_frame, self._detections.stamp)
         if not has_plan:
             return
         scores = self._detections.scores()
         for doubt in doubtful_scores(scores):
-            yield doubt, self._text_of(doubt, scores)
-
-    def _text_of(self, doubt: Doubt, values: FloatArray) -> str:
-        """Say which detections are doubtful, and why."""
-        first = doubt.rows[0]
-        return (
-            f'{len(doubt.rows)} of {len(self._boxes)} detections at stamp '
-            f'{stamp_text(self._detections.stamp)} have {doubt.what}; index {first} has '
-            f'{values[first]:.4g}: {doubt.cause}'
-        )
+            yield doubt, _text_of(doubt, scores, self._detections.stamp)
 
     def _count_invalid(self) -> str:
         """Count the detections that cannot be converted by reason; say which is the first."""
