@@ -79,7 +79,8 @@ def test_a_ray_before_the_fold_of_the_model_comes_back(d, share) -> None:
     pixels = camera.pixels(rays)
     there = np.isfinite(pixels[:, 0])
     back = camera.rays(pixels[there])
-    np.testing.assert_allclose(camera.pixels(back), pixels[there], rtol=1e-13, atol=1e-12)
+    off = np.abs(camera.pixels(back) - pixels[there]).max(initial=0.0)
+    assert off <= 1e-12 * (1.0 + np.abs(pixels[there]).max(initial=0.0))
     # Beside the fold a ray is as uncertain as the root of the rounding.
     np.testing.assert_allclose(back, rays[there], rtol=0, atol=1e-6)
 
