@@ -134,7 +134,8 @@ class PolynomialLens:
         with np.errstate(all='ignore'):
             s = self._radii**2
             bent = self._radii * _polynomial(above, s) / _polynomial(below, s)
-        self._bent_radii = np.nan_to_num(bent)
+        # It grows up to the limit, where the model folds, or its divisor is 0 and rounding decides.
+        self._bent_radii = np.maximum.accumulate(np.nan_to_num(bent))
 
     def points(self, rays: FloatArray) -> FloatArray:
         """Compute the distorted points, (2, N), of rays, (3, N)."""

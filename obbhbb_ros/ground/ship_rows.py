@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable
 from collections.abc import Iterator
@@ -11,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field
 from dataclasses import replace
-from functools import reduce
 from itertools import product
 from pathlib import Path
 
@@ -37,7 +37,7 @@ class ShipRow:
     Attributes
     ----------
     facts : ShipReport
-        Its facts. Place, size and course are those with the smallest uncertainty, else the last;
+        Its facts. Place, size and course are those with the smallest uncertainty, or the last;
         class and score those of the highest score; speed the last.
     best_view : ReceivedChip or None
         Its best chip of which the file is there.
@@ -133,12 +133,10 @@ def _row(ship: _Object) -> ShipRow | None:
 
 def _span(ship: _Object) -> tuple[int, int]:
     """Return when an object was seen, rounded as in lists: so that of one image all times agree."""
-    firsts, lasts = zip(
-        *((chip.time, chip.time) for chip in ship.chips),
-        *((one.first - one.time_error, one.last + one.time_error) for one in ship.reports),
-        strict=True,
-    )
-    return round(min(firsts) / 1e6), round(max(lasts) / 1e6)
+    times = [chip.time for chip in ship.chips]
+    for one in ship.reports:
+        times += one.first - one.time_error, one.last + one.time_error
+    return round(min(times) / 1e6), round(max(times) / 1e6)
 
 
 def chip_report(chip: ReceivedChip) -> ShipReport | None:
@@ -164,7 +162,7 @@ def chip_report(chip: ReceivedChip) -> ShipReport | None:
 
 def _combined(reports: Iterable[ShipReport]) -> ShipReport:
     """Take the best of each fact, see `joined_reports`."""
-    return reduce(joined_reports, sorted(reports, key=lambda report: report.last))
+    return joined_reports(*sorted(reports, key=lambda report: report.last))
 
 
 def _spread_order(report: ShipReport) -> tuple[float, int]:
@@ -216,19 +214,25 @@ class _Groups:
         # First and last time, and whether a row may fit in between.
         self._times = np.array([row.spans[0] for row in rows], float).reshape(-1, 2)
         self._has_gaps = np.zeros(len(rows), bool)
+        # When the rows of a group were seen, in order.
+        self._spans: dict[int, list[tuple[int, int]]] = {}
 
     def put(self, number: int) -> None:
         """Put a row into the nearest group that may have it, or into a new one."""
         x, y, z = np.floor(self._points[number] / self._distance).astype(int).tolist()
         around = product((x - 1, x, x + 1), (y - 1, y, y + 1), (z - 1, z, z + 1))
+        (span,) = self._rows[number].spans
         for group in self._near(number, around):
-            if _are_apart(self.members[group], self._rows[number]):
+            spans = self._spans[group]
+            place = bisect_left(spans, span)
+            if _is_free(spans, place, span):
+                spans.insert(place, span)
                 self.members[group].append(self._rows[number])
                 begin, end = self._times[[group, number]].T
                 self._times[group] = begin.min(), end.max()
                 self._has_gaps[group] = True
                 return
-        self.members[number] = [self._rows[number]]
+        self.members[number], self._spans[number] = [self._rows[number]], [span]
         self._cells.setdefault((x, y, z), []).append(number)
 
     def _near(self, number: int, cells: Iterable[tuple[int, int, int]]) -> list[int]:
@@ -241,10 +245,11 @@ class _Groups:
         return groups[near[np.argsort(away[near])]].tolist()
 
 
-def _are_apart(group: Sequence[ShipRow], row: ShipRow) -> bool:
-    """Tell whether a row was seen at no time at which one of a group was."""
-    ((first, last),) = row.spans
-    return all(last < begin or end < first for other in group for begin, end in other.spans)
+def _is_free(spans: Sequence[tuple[int, int]], place: int, span: tuple[int, int]) -> bool:
+    """Tell whether a span of time fits at a place between others that do not meet."""
+    first, last = span
+    is_after = not place or spans[place - 1][1] < first
+    return is_after and (place == len(spans) or last < spans[place][0])
 
 
 def _joined(group: Sequence[ShipRow]) -> ShipRow:

@@ -24,9 +24,10 @@ from obbhbb_ros.geometry.converter import HullRule
 from obbhbb_ros.geometry.converter import centers_and_extents
 from obbhbb_ros.geometry.converter import half_extents
 from obbhbb_ros.geometry.converter import to_xyxy
-from obbhbb_ros.pipeline.plausibility import Doubt
-from obbhbb_ros.pipeline.plausibility import doubtful_angles
+from obbhbb_ros.pipeline.outcome import Finding
+from obbhbb_ros.pipeline.plausibility import angle_findings
 from obbhbb_ros.pipeline.plausibility import doubtful_scores
+from obbhbb_ros.pipeline.plausibility import finding_of
 from obbhbb_ros.settings.obb_to_hbb import ConversionSettings
 from obbhbb_ros.wire.detections import Detections
 from obbhbb_ros.wire.layouts import InputType
@@ -196,29 +197,18 @@ class Batch:
         weights, min_scores = settings.weights[self._rule_of], settings.min_scores[self._rule_of]
         return plan_crops(xyxy, scores, self._image_size, settings.crop, weights, min_scores)
 
-    def doubts(self, has_plan: bool) -> Iterator[tuple[Doubt, str]]:
+    def doubts(self, has_plan: bool) -> Iterator[Finding]:
         """
-        List what the detector hardly means, with a text for an operator.
+        Count and report what the detector hardly means.
 
         Scores are looked at only where a plan has ranked by them: they are read already.
         """
-        if self._settings.input_frame.theta_scale == 1.0:
-            for doubt in doubtful_angles(self._theta):
-                yield doubt, self._text_of(doubt, self._theta)
-        if not has_plan:
-            return
-        scores = self._detections.scores()
-        for doubt in doubtful_scores(scores):
-            yield doubt, self._text_of(doubt, scores)
-
-    def _text_of(self, doubt: Doubt, values: FloatArray) -> str:
-        """Say which detections are doubtful, and why."""
-        first = doubt.rows[0]
-        return (
-            f'{len(doubt.rows)} of {len(self._boxes)} detections at stamp '
-            f'{stamp_text(self._detections.stamp)} have {doubt.what}; index {first} has '
-            f'{values[first]:.4g}: {doubt.cause}'
-        )
+        detections = self._detections
+        yield from angle_findings(self._theta, self._settings.input_frame, detections.stamp)
+        if has_plan:
+            scores = detections.scores()
+            for doubt in doubtful_scores(scores):
+                yield finding_of(doubt, scores, detections.stamp)
 
     def _count_invalid(self) -> str:
         """Count the detections that cannot be converted by reason; say which is the first."""

@@ -113,8 +113,7 @@ def _doubts(batch: Batch, wants_crops: bool) -> Iterator[Finding]:
     """Count and report detections that are invalid, and those that are hardly meant."""
     if batch.complaint:
         yield Finding({}, {'invalid detections': batch.complaint})
-    for doubt, text in batch.doubts(has_plan=batch.has_image_size and wants_crops):
-        yield Finding({doubt.key: len(doubt.rows)}, {doubt.key: text})
+    yield from batch.doubts(has_plan=batch.has_image_size and wants_crops)
 
 
 def outside_complaint(watch: OutsideWatch, outcome: Outcome) -> dict[str, str]:

@@ -33,6 +33,7 @@ from obbhbb_ros.pipeline.outcome import Outcome
 from obbhbb_ros.pipeline.outcome import Output
 from obbhbb_ros.pipeline.placing import PlacedShips
 from obbhbb_ros.pipeline.placing import ShipPlacer
+from obbhbb_ros.pipeline.plausibility import angle_findings
 from obbhbb_ros.pipeline.plausibility import frames_text
 from obbhbb_ros.reports.seen_ships import ShipCollector
 from obbhbb_ros.settings.ship_tracker import TrackerSettings
@@ -198,6 +199,7 @@ class ShipIdentifier:
             Finding({'detections_received': len(detections)}),
             Finding(used),
             _placing(image),
+            *angle_findings(detections.xywhr()[:, 4], settings.input_frame, image.stamp),
             self._stamp_doubt(image.stamp),
             camera_doubt(detections.frame_id, camera if used or image.placed else None),
             self._pose_doubt(detections.frame_id),

@@ -9,6 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from obbhbb_ros.geometry.input_frame import InputFrame
+from obbhbb_ros.pipeline.outcome import Finding
+from obbhbb_ros.wire.stamp import Stamp
+from obbhbb_ros.wire.stamp import stamp_text
+
 MAX_ANGLE = 6.3
 """A full turn, rounded up: angles beyond it are hardly radians."""
 
@@ -92,6 +97,47 @@ def doubtful_scores(scores: NDArray[np.float64]) -> Iterator[Doubt]:
         (rows,) = np.nonzero(mask)
         if rows.size:
             yield Doubt(f'scores_doubtful.{key}', rows, what, cause)
+
+
+def finding_of(doubt: Doubt, values: NDArray[np.float64], stamp: Stamp) -> Finding:
+    """
+    Count the detections that are doubtful, and say which and why.
+
+    Parameters
+    ----------
+    doubt : Doubt
+        The doubt.
+    values : ndarray, shape (N,)
+        The values of all detections that it is about.
+    stamp : Stamp
+        Stamp of their message.
+    """
+    first, count = doubt.rows[0], len(doubt.rows)
+    text = (
+        f'{count} of {len(values)} detections at stamp {stamp_text(stamp)} have {doubt.what}; '
+        f'index {first} has {values[first]:.4g}: {doubt.cause}'
+    )
+    return Finding({doubt.key: count}, {doubt.key: text})
+
+
+def angle_findings(
+    theta: NDArray[np.float64], frame: InputFrame, stamp: Stamp
+) -> Iterator[Finding]:
+    """
+    Count and report angles that are hardly radians.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (N,)
+        Angles as in the message.
+    frame : InputFrame
+        Tells their unit.
+    stamp : Stamp
+        Stamp of the message.
+    """
+    if frame.theta_scale == 1.0:
+        for doubt in doubtful_angles(theta):
+            yield finding_of(doubt, theta, stamp)
 
 
 def frames_text(

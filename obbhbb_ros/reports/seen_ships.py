@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from obbhbb_ros.earth.ellipsoid import east_north_up
 from obbhbb_ros.earth.placement import Placement
 from obbhbb_ros.geometry.boxes import FloatArray
+from obbhbb_ros.reports.ship_report import ALIKE
 from obbhbb_ros.reports.ship_report import MAX_SHIPS
 from obbhbb_ros.reports.ship_report import ShipReport
 from obbhbb_ros.tracking.ground_track import GroundTrack
@@ -24,6 +26,8 @@ __all__ = ['ShipCollector']
 _MAX_TEXT = 64
 # Degrees between the axis of a hull and its way, up to which a ship is taken to go ahead.
 _AHEAD = 30.0
+# Sine of the height of the camera above the horizon, below which it is all the same.
+_MIN_HEIGHT = 1e-3
 
 
 class ShipCollector:
@@ -31,8 +35,9 @@ class ShipCollector:
     Remembers ships from image to image, until a list of them is taken.
 
     Place, course, length and width are those of the best view: of the whole ship, then with the
-    smallest uncertainty, or the camera highest above it. Class and score are the most certain
-    ones. A ship under way goes bow first: its track tells bow from stern.
+    smallest uncertainty, or the camera highest above it; of alike ones the last, so that a ship
+    under way is where it was last. Class and score are the most certain ones. A ship under way goes
+    bow first: its track tells bow from stern.
     """
 
     def __init__(self) -> None:
@@ -85,12 +90,11 @@ class ShipCollector:
             ellipse = _known(None if ellipses is None else ellipses[row])
             variance = None if spread is None else float(spread[row, :2, :2].trace()) / 2
             ship.track(stamp, places.points[row], variance)
-            quality = (bool(whole[row]), -ellipse[0] if ellipse else -math.inf)
-            best = (*quality, float(places.elevation[row]))
+            quality = _quality(bool(whole[row]), ellipse, float(places.elevation[row]))
             report = _report(ids[row], stamp, places, row, ellipse)
             score = float(scores[row])
             ship.note(
-                report, best, class_ids[row][:_MAX_TEXT], score if math.isfinite(score) else None
+                report, quality, class_ids[row][:_MAX_TEXT], score if math.isfinite(score) else None
             )
         return forgotten
 
@@ -100,6 +104,25 @@ class ShipCollector:
         return [ship.report() for ship in ships.values()]
 
 
+class _Quality(NamedTuple):
+    """How good a view is: if it shows the whole ship, if its uncertainty is known, and that."""
+
+    is_whole: bool
+    is_sure: bool
+    spread: float
+
+
+def _quality(
+    is_whole: bool, ellipse: tuple[float, float, float] | None, elevation: float
+) -> _Quality:
+    """Say how good a view is, by its error ellipse or else how high the camera stands, degrees."""
+    if ellipse is not None:
+        return _Quality(is_whole, True, ellipse[0])
+    # So an error of the attitude moves a place, as the camera sinks.
+    height = max(math.sin(math.radians(elevation)), _MIN_HEIGHT)
+    return _Quality(is_whole, False, height**-2)
+
+
 class _SeenShip:
     """A ship that was seen."""
 
@@ -107,7 +130,8 @@ class _SeenShip:
         self._first, self._start = stamp, places.points[row]
         self._axes = east_north_up(places.latitude[row], places.longitude[row])[:2]
         self._track = GroundTrack()
-        self._best: tuple[ShipReport, tuple[float, ...]] | None = None
+        self._best: ShipReport | None = None
+        self._quality = _Quality(False, False, math.inf)
         self._last, self._class_id, self._score = stamp, '', -math.inf
 
     def track(self, stamp: int, point: FloatArray, variance: float | None) -> None:
@@ -117,23 +141,33 @@ class _SeenShip:
         self._track.add((stamp - self._first) * 1e-9, float(east), float(north), known)
 
     def note(
-        self, report: ShipReport, quality: tuple[float, ...], class_id: str, score: float | None
+        self, report: ShipReport, quality: _Quality, class_id: str, score: float | None
     ) -> None:
         """Keep what a view tells better than those before."""
         self._first, self._last = min(self._first, report.first), max(self._last, report.last)
-        if self._best is None or quality > self._best[1]:
-            self._best = report, quality
+        self._compare(report, quality)
         if score is not None and score > self._score:
             self._class_id, self._score = class_id, score
         elif math.isinf(self._score):
             self._class_id = class_id
+
+    def _compare(self, report: ShipReport, quality: _Quality) -> None:
+        """Keep a view that is better than the best, or alike and later."""
+        kind, best_kind, least = quality[:2], self._quality[:2], self._quality.spread
+        is_better = kind > best_kind or quality.spread < ALIKE * least
+        is_later = self._best is None or report.last >= self._best.last
+        if kind >= best_kind and (is_better or (is_later and ALIKE * quality.spread <= least)):
+            self._best = report
+            # The least of all: views that are a little worse each are not alike in the end.
+            spread = quality.spread if kind > best_kind else min(quality.spread, least)
+            self._quality = quality._replace(spread=spread)
 
     def report(self) -> ShipReport:
         """Say what is known of it."""
         assert self._best is not None
         velocity = self._track.velocity()
         report = replace(
-            self._best[0],
+            self._best,
             first=self._first,
             last=self._last,
             views=self._track.views,

@@ -6,10 +6,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import replace
+from functools import reduce
 
 from obbhbb_ros.errors import ObbhbbError
 
 __all__ = [
+    'ALIKE',
     'MAX_LIST_BYTES',
     'MAX_SHIPS',
     'ShipListError',
@@ -24,8 +26,8 @@ MAX_LIST_BYTES = 2**24
 MAX_SHIPS = 20_000
 """Ships that are remembered until they are listed, or wait in a list."""
 
-# Uncertainties that differ by less do not say which report is better.
-_ALIKE = 0.9
+ALIKE = 0.9
+"""Uncertainties, and lengths, of a greater ratio do not say which view of a ship is better."""
 
 
 class ShipListError(ObbhbbError, ValueError):
@@ -113,13 +115,14 @@ def most_valuable(ships: Sequence[ShipReport], count: int) -> list[ShipReport]:
     return [ships[row] for row in sorted(ranked[:count])]
 
 
-def joined_reports(earlier: ShipReport, later: ShipReport) -> ShipReport:
+def joined_reports(*reports: ShipReport) -> ShipReport:
     """
-    Join what two lists say of one ship.
+    Join what lists and chips say of one ship, the earliest first.
 
-    Place, course and size are those of the smaller uncertainty; where these are alike, of more
-    views: at the border of the image a ship may be seen in part. Class and score are the most
-    certain ones; speed and its course those of the later list, if it has them.
+    Place, course and size are those of the smaller uncertainty; where these are alike, of the later
+    report, unless the ship is shorter there and seen less often: a ship that leaves the image is
+    seen in part. Class and score are the most certain ones; speed and its course those of
+    the last report that has them.
 
     Examples
     --------
@@ -130,17 +133,16 @@ def joined_reports(earlier: ShipReport, later: ShipReport) -> ShipReport:
     >>> again = replace(seen, latitude=36.2, first=9, last=9, views=1, score=0.4, class_id='boat')
     >>> both = joined_reports(seen, again)
     >>> both.latitude, both.views, both.first, both.last, both.class_id
-    (36.1, 3, 5, 9, 'tug')
+    (36.2, 3, 5, 9, 'tug')
     """
-    best = _better(earlier, later)
-    surest = max((earlier, later), key=lambda ship: -1.0 if ship.score is None else ship.score)
-    moving = earlier if later.speed is None else later
+    surest = max(reports, key=lambda ship: -1.0 if ship.score is None else ship.score)
+    moving = next((ship for ship in reversed(reports) if ship.speed is not None), reports[-1])
     return replace(
-        best,
-        first=min(earlier.first, later.first),
-        last=max(earlier.last, later.last),
-        time_error=max(earlier.time_error, later.time_error),
-        views=earlier.views + later.views,
+        reduce(_better, reports),
+        first=min(ship.first for ship in reports),
+        last=max(ship.last for ship in reports),
+        time_error=max(ship.time_error for ship in reports),
+        views=sum(ship.views for ship in reports),
         class_id=surest.class_id,
         score=surest.score,
         speed=moving.speed,
@@ -155,6 +157,7 @@ def _better(earlier: ShipReport, later: ShipReport) -> ShipReport:
     first, second = (ship.sigma_m[0] if ship.sigma_m else None for ship in (earlier, later))
     if (first is None) != (second is None):
         return earlier if second is None else later
-    if first is not None and second is not None and not _ALIKE * first <= second <= first / _ALIKE:
+    if first is not None and second is not None and not ALIKE * first <= second <= first / ALIKE:
         return earlier if first < second else later
-    return earlier if earlier.views > later.views else later
+    is_cut = later.views < earlier.views and later.length_m < ALIKE * earlier.length_m
+    return earlier if is_cut else later

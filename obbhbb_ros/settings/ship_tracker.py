@@ -177,7 +177,8 @@ SHIP_TRACKER = ParameterTable(
         Parameter(
             'memory',
             30.0,
-            'For how long a ship that is not seen keeps its id, seconds.',
+            'For how long a ship that is not seen keeps its id, seconds; more than from one image '
+            'to the next.',
             Range(0.0, 1e6),
         ),
         *IMAGE_SIZE,

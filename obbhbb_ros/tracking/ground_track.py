@@ -13,6 +13,9 @@ _SIGNIFICANT = 3.0
 # No ship is faster, m/s: two ships share an id.
 _MAX_SPEED = 50.0
 _MIN_VIEWS = 3
+# Poses that follow each other are off alike, for seconds (attitude) or a minute (fixes): many
+# places tell no more than so many.
+_MAX_INDEPENDENT = 4
 # No place is known better, metres.
 _MIN_SIGMA = 0.1
 
@@ -48,7 +51,7 @@ class GroundTrack:
     ...     track.add(second, 6.0 * second, 8.0 * second, variance=1.0)
     >>> velocity = track.velocity()
     >>> round(velocity.speed, 3), round(velocity.speed_sigma, 3), round(velocity.course, 3)
-    (10.0, 0.11, 36.87)
+    (10.0, 0.174, 36.87)
     """
 
     __slots__ = ('_e', '_ee', '_n', '_nn', '_te', '_tn', '_tt', '_w', '_wt', 'is_weighted', 'views')
@@ -90,7 +93,8 @@ class GroundTrack:
         Fit speed and course.
 
         The uncertainty is that of the places, or that of their distances from the line, whichever
-        is larger.
+        is larger; of four places where there are more, as errors of poses that follow each other
+        are alike.
 
         Returns
         -------
@@ -107,6 +111,7 @@ class GroundTrack:
         east = (self._w * self._te - self._wt * self._e) / spread
         north = (self._w * self._tn - self._wt * self._n) / spread
         variance = max(self._residual(east, north), 1.0 if self.is_weighted else _MIN_SIGMA**2)
+        variance *= self.views / self._independent
         sigma = math.sqrt(variance * self._w / spread)
         speed = math.hypot(east, north)
         limit = _SIGNIFICANT if self.is_weighted else self._limit()
@@ -114,6 +119,11 @@ class GroundTrack:
             return None
         course = math.degrees(math.atan2(east, north)) % 360.0
         return Velocity(speed, sigma, course, math.degrees(sigma / speed))
+
+    @property
+    def _independent(self) -> int:
+        """How many places have errors of their own."""
+        return min(self.views, _MAX_INDEPENDENT)
 
     def _limit(self) -> float:
         """
@@ -123,7 +133,7 @@ class GroundTrack:
         those of the residuals, if the ship lies still; it is above x with a probability of
         (1 + 2 x / n)^(-n/2), which here is that of three known standard deviations, exp(-9/2).
         """
-        freedom = 2 * self.views - 4
+        freedom = 2 * self._independent - 4
         return math.sqrt(freedom * math.expm1(_SIGNIFICANT**2 / freedom))
 
     def _residual(self, east: float, north: float) -> float:

@@ -25,6 +25,7 @@ from obbhbb_ros.wire.layouts import INPUT_TYPES
 TYPE = INPUT_TYPES['Detection2DArray']
 SIZED = {'image_width': 2000, 'image_height': 1000}
 NAN = float('nan')
+DEGREES = (800.0, 500.0, 45.0, 60.0, 10.0)
 
 
 class Identified:
@@ -146,6 +147,14 @@ def test_stamps_that_do_not_grow_are_reported() -> None:
         assert outcome.counts['ids_assigned'] == 3
     outcome, _ = tracker.give(frame(2, *boxes_of(*FLEET)))
     assert 'stamps_not_later' not in outcome.counts
+
+
+def test_degrees_for_radians_are_counted_and_said() -> None:
+    message = frame(0, Detection(bbox=(500.0, 500.0, 1.5, 60.0, 10.0)), Detection(bbox=DEGREES))
+    for unit, count in (('rad', 1), ('deg', 0)):
+        outcome, _ = Identified(angle_unit=unit).give(message)
+        assert outcome.counts.get('angles_doubtful.beyond_turn', 0) == count
+        assert count == ('index 1 has 45' in str(outcome.complaints))
 
 
 def test_nothing_is_read_that_nobody_wants() -> None:

@@ -53,6 +53,26 @@ def test_the_view_with_the_smallest_uncertainty_tells_where_a_ship_is() -> None:
     assert collector.take() == []
 
 
+@pytest.mark.parametrize('sigma', [None, 3.0])
+def test_of_alike_views_the_last_tells_where_a_ship_under_way_is(sigma) -> None:
+    collector = ShipCollector()
+    for second in range(20):
+        # From the middle of the image to its border; the places are known a little worse there.
+        rows = [[500 + 20 * second, 500, 60, 10, 0.0]]
+        note(collector, second, rows, ['s-1'], sigma=sigma and sigma + 0.01 * second)
+    (ship,) = collector.take()
+    assert ship.longitude == places_of(rows).longitude[0]
+
+
+def test_views_that_are_a_little_worse_each_are_not_alike_in_the_end() -> None:
+    collector = ShipCollector()
+    for second in range(20):
+        note(collector, second, [[300 + second, 500, 60, 10, 0.0]], ['s-1'], sigma=3.0 + second / 8)
+    note(collector, 1, [[100, 500, 60, 10, 0.0]], ['s-1'], sigma=3.0)
+    (ship,) = collector.take()
+    assert ship.longitude == places_of([[302, 500, 60, 10, 0.0]]).longitude[0]
+
+
 def test_a_whole_ship_comes_before_one_that_the_border_cuts() -> None:
     collector = ShipCollector()
     note(collector, 0, [[20, 500, 40, 10, 0.0]], ['s-1'], whole=[False], sigma=1.0)
@@ -141,7 +161,25 @@ def test_two_lists_of_one_ship_are_joined() -> None:
     assert joined_reports(replace(early, sigma_m=None), late).sigma_m == late.sigma_m
 
 
-def test_of_two_lists_with_like_uncertainty_the_one_with_more_views_counts() -> None:
+@pytest.mark.parametrize('sigma', [None, 3.0])
+@pytest.mark.parametrize('views', [1, 2, 5])
+def test_a_ship_under_way_is_where_it_was_last_however_many_lists_are_joined(sigma, views) -> None:
+    collector, reports = ShipCollector(), []
+    for second in range(6 * views):
+        note(collector, second, [[200 + 20 * second, 500, 60, 10, 0.0]], ['s-1'], sigma=sigma)
+        if second % views == views - 1:
+            reports += collector.take()
+    places = [ship.longitude for ship in reports]
+    # One after the other, as they wait in a spool, and all at once, as they came down.
+    waiting = reports[0]
+    for report in reports[1:]:
+        waiting = joined_reports(waiting, report)
+    for ship in (waiting, joined_reports(*reports)):
+        assert ship.longitude == places[-1]
+        assert ship.views == 6 * views
+
+
+def test_of_two_lists_with_like_uncertainty_the_one_with_the_whole_ship_counts() -> None:
     collector = ShipCollector()
     for second in range(3):
         note(collector, second, [[300, 500, 60, 10, 0.0]], ['s-1'], sigma=3.0)

@@ -26,13 +26,13 @@ def test_a_straight_way_gives_its_speed_and_course(speed, course, start, views) 
     assert (velocity.course - course + 180) % 360 - 180 == pytest.approx(0.0, abs=1e-4)
 
 
-@pytest.mark.parametrize('variance', [4.0, None])
+@pytest.mark.parametrize('variance', [0.25, None])
 def test_the_stated_sigma_is_that_of_many_tracks(variance) -> None:
-    random, times = np.random.default_rng(5), np.arange(12.0)
+    random, times = np.random.default_rng(5), np.arange(4.0)
     way = times[:, None] * [6.0, 8.0]
     found = [
-        track_of(times, way + random.normal(0.0, 2.0, way.shape), variance).velocity()
-        for _ in range(400)
+        track_of(times, way + random.normal(0.0, 0.5, way.shape), variance).velocity()
+        for _ in range(2000)
     ]
     speeds = np.array([velocity.speed for velocity in found])
     courses = np.array([velocity.course for velocity in found])
@@ -40,6 +40,21 @@ def test_the_stated_sigma_is_that_of_many_tracks(variance) -> None:
     stated = np.mean([velocity.speed_sigma for velocity in found])
     assert speeds.std() == pytest.approx(stated, rel=0.15)
     assert courses.std() == pytest.approx(np.mean([v.course_sigma for v in found]), rel=0.15)
+
+
+@pytest.mark.parametrize('memory', [0.5, 5.0, 30.0])
+@pytest.mark.parametrize('variance', [9.0, None])
+def test_errors_that_follow_each_other_alike_are_no_way(memory, variance) -> None:
+    # Of fixes and attitudes: at 10 Hz each differs from the one before it by a little.
+    random, share = np.random.default_rng(8), np.exp(-0.1 / memory)
+    given = 0
+    for _ in range(200):
+        steps = random.normal(0.0, 3.0 * np.sqrt(1.0 - share**2), (600, 2))
+        errors = [random.normal(0.0, 3.0, 2)]
+        for step in steps:
+            errors.append(share * errors[-1] + step)
+        given += track_of(np.arange(601) / 10, errors, variance).velocity() is not None
+    assert given <= 0.03 * 200
 
 
 def test_a_ship_that_may_lie_still_has_no_speed() -> None:
