@@ -21,7 +21,7 @@ from obbhbb_ros.settings.downlink import DOWNLINK
 from obbhbb_ros.settings.downlink import DownlinkSettings
 from obbhbb_ros.spool.catalogue import SpoolError
 from obbhbb_ros.spool.console import SpoolConsole
-from obbhbb_ros.spool.feeder import FeederThread
+from obbhbb_ros.spool.feeder_thread import FeederThread
 from obbhbb_ros.spool.list_spool import ListSpool
 from obbhbb_ros.wire.contact import read_contact
 

@@ -25,8 +25,8 @@ from spooled import values_in_outbox
 from obbhbb_ros.downlink.budget import BudgetSettings
 from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.console import SpoolConsole
-from obbhbb_ros.spool.feeder import FeederThread
 from obbhbb_ros.spool.feeder import ReleaseSettings
+from obbhbb_ros.spool.feeder_thread import FeederThread
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.spool.ranking import FADE
 from obbhbb_ros.spool.releaser import SpoolReleaser
