@@ -24,14 +24,17 @@ from obbhbb_ros.geometry.boxes import FloatArray
 from obbhbb_ros.geometry.boxes import OrientedBoxes
 from obbhbb_ros.pipeline import NOBODY
 from obbhbb_ros.pipeline import OTHER_POSE
+from obbhbb_ros.pipeline import OUTSIDE
 from obbhbb_ros.pipeline import ConversionOutcome
 from obbhbb_ros.pipeline import Output
 from obbhbb_ros.pipeline import angle_doubts
 from obbhbb_ros.pipeline import camera_doubt
 from obbhbb_ros.pipeline import known_image_size
 from obbhbb_ros.pipeline import no_size_complaint
+from obbhbb_ros.pipeline import outside_complaint
 from obbhbb_ros.placing import PlacedShips
 from obbhbb_ros.placing import ShipPlacer
+from obbhbb_ros.plausibility import OutsideWatch
 from obbhbb_ros.plausibility import frames_text
 from obbhbb_ros.reports.seen_ships import ShipCollector
 from obbhbb_ros.settings.ship_tracker import TrackerSettings
@@ -92,6 +95,7 @@ class ShipIdentifier:
         self._placer = None if poses is None else ShipPlacer(poses)
         self._matcher = ShipMatcher()
         self._watch = IdWatch()
+        self._outside = OutsideWatch()
         self._objects = ObjectIds()
         self._stamp: Stamp | None = None
         # Of the last image whose boxes were followed.
@@ -155,6 +159,7 @@ class ShipIdentifier:
             _placing(placed, len(own) - len(rows)),
             self._id_doubts(ids),
             _angle_doubts(detections, settings),
+            _outside(boxes, image_size),
             self._stamp_doubt(detections.stamp),
             camera_doubt(detections.frame_id, camera if used or placed else None),
             self._pose_doubt(detections.frame_id),
@@ -179,7 +184,9 @@ class ShipIdentifier:
         for counted, texts in findings:
             counts |= counted
             complaints |= texts
-        return ConversionOutcome(counts, complaints, image_size)
+        outcome = ConversionOutcome(counts, complaints, image_size)
+        outside = outside_complaint(self._outside, outcome)
+        return outcome._replace(complaints=complaints | outside)
 
     def _placed(
         self,
@@ -312,6 +319,17 @@ def _angle_doubts(detections: Detections, settings: TrackerSettings) -> Finding:
     doubts = [*angle_doubts(theta, settings.input_frame, detections.stamp)]
     counts = {doubt.key: len(doubt.rows) for doubt, _ in doubts}
     return counts, {doubt.key: text for doubt, text in doubts}
+
+
+def _outside(boxes: OrientedBoxes, image_size: tuple[int, int] | None) -> Finding:
+    """Count the boxes of which no part is in the image."""
+    if image_size is None:
+        return {}, {}
+    reach = boxes.length[:, None] / 2
+    with np.errstate(invalid='ignore'):
+        outside = (boxes.center < -reach) | (boxes.center > np.array(image_size) + reach)
+    count = int(outside.any(axis=1).sum())
+    return ({OUTSIDE: count}, {}) if count else ({}, {})
 
 
 def _image_boxes(

@@ -50,11 +50,14 @@ OTHER_POSE = 'pose of another frame'
 SAID_ONCE = (OTHER_FRAME, OTHER_POSE)
 """Kinds of the complaints that are worth saying once."""
 
+OUTSIDE = 'detections_outside_image'
+"""Key of the detections of which no part is in the image, where no others tell."""
 # Of one detection only one of them counts.
 _OUTSIDE = (
     'crops_left_out.outside_image',
     'detections_dropped.outside_image',
     'detections_kept.outside_image',
+    OUTSIDE,
 )
 
 
