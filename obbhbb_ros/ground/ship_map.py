@@ -37,6 +37,8 @@ _STEPS = tuple(
     for step in steps
 )
 _MAX_LINES = 5
+# Latitude of a pole, arc seconds.
+_POLE = 90 * 3600
 # Labels nearer to a side than this are left out, percent.
 _BORDER = 9.0
 
@@ -165,6 +167,8 @@ def _lines(low: float, high: float, sides: str) -> list[GraticuleLine]:
     numbers = range(math.ceil(low * 3600.0 / step), math.floor(high * 3600.0 / step) + 1)
     lines = []
     for seconds in (number * step for number in numbers):
+        if sides == 'NS' and abs(seconds) > _POLE:
+            continue
         at = 100.0 * (seconds - low * 3600.0) / span
         is_free = _BORDER <= at <= 100.0 - _BORDER
         lines.append(GraticuleLine(round(at, 3), _label(seconds, sides) if is_free else ''))

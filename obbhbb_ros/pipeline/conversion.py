@@ -122,13 +122,7 @@ def outside_complaint(watch: OutsideWatch, outcome: Outcome) -> dict[str, str]:
     if size is None:
         return {}
     outside = sum(counts.get(key, 0) for key in _OUTSIDE)
-    text = watch.note(outside, counts.get('detections_received', 0), size)
-    if not text:
-        return {}
-    return {
-        'outside': f'{text}: is camera_info, or image_width and image_height, that of the image '
-        'that the detector saw?'
-    }
+    return watch.complaint(outside, counts.get('detections_received', 0), size)
 
 
 def _crops_wanted(outputs: Outputs) -> tuple[bool, bool]:

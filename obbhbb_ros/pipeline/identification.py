@@ -33,6 +33,7 @@ from obbhbb_ros.pipeline.outcome import Outcome
 from obbhbb_ros.pipeline.outcome import Output
 from obbhbb_ros.pipeline.placing import PlacedShips
 from obbhbb_ros.pipeline.placing import ShipPlacer
+from obbhbb_ros.pipeline.plausibility import OutsideWatch
 from obbhbb_ros.pipeline.plausibility import angle_findings
 from obbhbb_ros.pipeline.plausibility import frames_text
 from obbhbb_ros.reports.seen_ships import ShipCollector
@@ -106,6 +107,13 @@ class TrackedImage:
         """Choose the texts of the detections that are passed on."""
         return [texts[row] for row in self.rows.tolist()]
 
+    def count_outside(self, size: tuple[int, int]) -> int:
+        """Count the boxes of which no part is in the image of a size."""
+        reach = self.boxes.length[:, None] / 2
+        with np.errstate(invalid='ignore'):
+            outside = (self.boxes.center < -reach) | (self.boxes.center > np.array(size) + reach)
+        return int(outside.any(axis=1).sum())
+
     def are_whole(self) -> NDArray[np.bool_]:
         """Tell which ships that are passed on lie inside the image, as far as its size is known."""
         corners = self.passed_boxes.corners
@@ -140,6 +148,7 @@ class ShipIdentifier:
         self._placer = None if poses is None else ShipPlacer(poses)
         self._matcher = ShipMatcher()
         self._watch = IdWatch()
+        self._outside = OutsideWatch()
         self._objects = ObjectIds()
         self._stamp: Stamp | None = None
         # Of the last image whose boxes were followed.
@@ -200,6 +209,7 @@ class ShipIdentifier:
             Finding(used),
             _placing(image),
             *angle_findings(detections.xywhr()[:, 4], settings.input_frame, image.stamp),
+            self._outside_doubt(image),
             self._stamp_doubt(image.stamp),
             camera_doubt(detections.frame_id, camera if used or image.placed else None),
             self._pose_doubt(detections.frame_id),
@@ -294,6 +304,14 @@ class ShipIdentifier:
             {doubt.key: doubt.detections for doubt in doubts},
             {doubt.key: doubt.text for doubt in doubts},
         )
+
+    def _outside_doubt(self, image: TrackedImage) -> Finding:
+        """Count the boxes that lie outside the image, and complain if most of them do."""
+        if image.size is None:
+            return Finding({})
+        count, total = image.count_outside(image.size), len(image.boxes)
+        counts = {'detections_outside_image': count} if count else {}
+        return Finding(counts, self._outside.complaint(count, total, image.size))
 
     def _pose_doubt(self, frame_id: str) -> Finding:
         """Count and report detections of another frame than that whose pose is told."""

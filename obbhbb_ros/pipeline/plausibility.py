@@ -193,3 +193,13 @@ class OutsideWatch:
             f'{outside} of the last {total} detections lie outside the image of '
             f'{width} x {height} pixels'
         )
+
+    def complaint(self, outside: int, total: int, size: tuple[int, int]) -> dict[str, str]:
+        """Count detections; complain, by kind, if most of the latest ones lie outside."""
+        text = self.note(outside, total, size)
+        if not text:
+            return {}
+        return {
+            'outside': f'{text}: is camera_info, or image_width and image_height, that of the '
+            'image that the detector saw?'
+        }

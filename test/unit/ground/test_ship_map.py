@@ -54,6 +54,14 @@ def test_the_lines_are_where_their_labels_say() -> None:
             assert first + share * (last - first) == pytest.approx(value, abs=1e-4)
 
 
+@pytest.mark.parametrize('latitude', [90.0, -89.9999])
+def test_no_parallel_lies_beyond_a_pole(latitude) -> None:
+    drawn = ship_map(at((latitude, 5.0)))
+    labels = [line.label for line in drawn.parallels]
+    assert any(label.startswith('89°') for label in labels)
+    assert not any('90°0' in label for label in labels)
+
+
 def test_ships_on_both_sides_of_the_date_line_are_neighbours() -> None:
     drawn = ship_map(at((-17.0, 179.9), (-17.0, -179.9)))
     (x0, _), (x1, _) = drawn.places

@@ -157,6 +157,19 @@ def test_degrees_for_radians_are_counted_and_said() -> None:
         assert count == ('index 1 has 45' in str(outcome.complaints))
 
 
+def test_detections_of_a_larger_image_than_camera_info_says_are_noticed() -> None:
+    tracker, said = Identified(), []
+    for number in range(3):
+        outcome, _ = tracker.give(frame(number, *boxes_of(*10 * [(3000.0, 900.0, 90.0)])))
+        assert outcome.counts['detections_outside_image'] == 10
+        said.append(outcome.complaints.get('outside', ''))
+    assert said[1].startswith('20 of the last 20 detections lie outside the image of 2000 x 1000')
+    assert not said[0] + said[2]
+    # At the border, or invalid.
+    outcome, _ = tracker.give(frame(9, *boxes_of((2010.0, 500.0, 50.0), (NAN, 5.0, 4.0))))
+    assert 'detections_outside_image' not in outcome.counts
+
+
 def test_nothing_is_read_that_nobody_wants() -> None:
     outcome = ShipIdentifier().answer(
         b'', TYPE, SHIP_TRACKER.settings(SIZED), None, TrackerOutputs(NOBODY)
