@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the camera is and how it looks: from the fields of messages, and between two of them."""
+"""Where the camera is and where it looks: from the fields of messages, and between two of them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from obbhbb_ros.geometry.boxes import FloatArray
 
 __all__ = ['Attitude', 'CameraPose', 'Fix', 'PoseError']
 
-# Beyond it, ten times the distance of the Moon, a position is no number of metres.
+# Ten times the distance of the Moon: a larger number is not a position in metres.
 _MAX_DISTANCE = 4e9
 _NO_FIX = -1
 _UNKNOWN = 0
@@ -207,7 +207,7 @@ class Fix:
         if status <= _NO_FIX:
             raise PoseError(f'no fix (status {status})')
         if not abs(latitude) <= 90.0 or not abs(longitude) <= 360.0:
-            raise PoseError(f'latitude {latitude}, longitude {longitude}: no degrees')
+            raise PoseError(f'latitude {latitude}, longitude {longitude} are not degrees')
         known = None if covariance_type == _UNKNOWN else _covariance(covariance, 3)
         if known is not None:
             axes = east_north_up(latitude, longitude)
@@ -283,7 +283,7 @@ def _position(numbers: ArrayLike) -> FloatArray:
     """Check a position, (3,), ECEF."""
     position = np.array(numbers, np.float64)
     if position.shape != (3,) or not (np.abs(position) <= _MAX_DISTANCE).all():
-        raise PoseError(f'position {position.tolist()}: not three numbers of metres')
+        raise PoseError(f'position {position.tolist()} is not three numbers in metres')
     return position
 
 

@@ -22,9 +22,10 @@ __all__ = [
     'unit_quaternion',
 ]
 
-# Single precision and a few products of it give 1 to a millionth; others are no rotation.
+# Single precision and a few products of it keep the length 1 to a millionth; other lengths are no
+# rotation.
 _MAX_OFF = 0.01
-# The cosine of half a turn, from which on the shorter arc is as good as straight.
+# Cosine of half a turn; above it, the shorter arc is practically straight.
 _STRAIGHT = 1.0 - 1e-9
 
 
@@ -58,7 +59,7 @@ def unit_quaternion(numbers: ArrayLike) -> FloatArray:
     length = math.hypot(*quaternion.tolist())
     # NaN compares as false.
     if not abs(length - 1.0) <= _MAX_OFF:
-        raise ValueError(f'a quaternion of length {length:.6g}, not 1')
+        raise ValueError(f'the quaternion has length {length:.6g}, not 1')
     unit: FloatArray = quaternion / length
     return unit
 

@@ -151,7 +151,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._paired.add(image.stamp, PairedFrame(image, planned, now), image.data.nbytes, now)
 
     def _cut_what_is_ready(self, now: float, limits: PairLimits) -> None:
-        """Cut the images that wait for nothing any more, or have waited long enough."""
+        """Cut the images that no longer wait for anything, or have waited long enough."""
         for image, planned in self._images.near_pairs(now, limits.slop, limits.max_age):
             self.monitor.add('frames_paired_by_slop')
             self._pair(image, planned, now)

@@ -49,7 +49,7 @@ class ChipSpool(Part):
             self._writer = self._report = None
 
     def set_fade(self) -> None:
-        """Write down by what repeated views of a ship count less."""
+        """Write down how much less repeated views of a ship count."""
         if self._writer is not None:
             fade = self._node.parameters.settings.spool_fade
             self._writer.set_fade(fade, self._on_fade_changed)
@@ -83,9 +83,9 @@ class ChipSpool(Part):
             return {}
 
     def _on_fade_changed(self, before: float) -> None:
-        """Log that chips that wait have other ranks now."""
+        """Log that the ranks of waiting chips have changed."""
         fade = self._node.parameters.settings.spool_fade
-        self._node.get_logger().info(f'spool.fade of the spool is {fade:g} now, it was {before:g}')
+        self._node.get_logger().info(f'spool.fade of the spool is now {fade:g}; it was {before:g}')
 
     def _warn(self, text: str) -> None:
         """Report trouble with the spool."""

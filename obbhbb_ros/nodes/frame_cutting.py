@@ -50,12 +50,12 @@ from obbhbb_ros.wire.plans import WirePlan
 from obbhbb_ros.wire.stamp import stamp_text
 
 _LOST_FOR_GOOD = {
-    Dropped.OUTSIDE.value: 'they lie outside the image; was the plan made for another?',
+    Dropped.OUTSIDE.value: 'they lie outside the image; were they planned for another?',
     Dropped.LARGER_THAN_BURST.value: 'they exceed budget.burst, so no pause is long enough',
 }
-# What the frame_id and the camera of an image may take in each of its chips, bytes.
+# Maximum size of the frame_id and of the camera of an image, which each chip repeats, bytes.
 _MAX_REPEATED = 10_000
-# How long a frame is cut before the node answers, seconds.
+# How long the node cuts a frame before it answers requests, seconds.
 _SLICE = 0.1
 
 

@@ -78,8 +78,8 @@ class PlayDetections(Node):
         )
         if missing:
             self.get_logger().info(
-                f'{missing} of {len(self._frames)} images have no file: their labels are published '
-                'alone'
+                f'{missing} of {len(self._frames)} images have no file: only their labels are '
+                'published'
             )
         self._timer = self.create_timer(_POLL_PERIOD, self._begin)
 

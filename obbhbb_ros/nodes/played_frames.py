@@ -159,7 +159,7 @@ class PlayedFrames:
             # The file may have changed, or its size may be written in another way than it is shown.
             if pixels.shape[:2] != (height, width):
                 self._log.error(
-                    f'no image: {file}: it has not the size that it had at the start',
+                    f'no image: {file}: its size is not the one it had at the start',
                     throttle_duration_sec=5.0,
                 )
                 return None

@@ -136,7 +136,7 @@ class ShipIdentifier:
     Attributes
     ----------
     session : str
-        First half of the ids that it gives, drawn anew for each object of this class.
+        First half of the ids that it gives; every object of this class draws its own at random.
     """
 
     def __init__(
@@ -201,7 +201,7 @@ class ShipIdentifier:
         image = self._image(detections, settings, camera, size)
         ids, tracked = self._tracked(image, settings)
         if image.placed is not None:
-            # First, so that they are there when the chips are cut.
+            # First, so that they arrive before the chips are cut.
             _publish_places(image.placed, image, ids, outputs)
         outputs.tracked.publish(_with_ids(image, ids, settings))
         findings = (
@@ -291,14 +291,14 @@ class ShipIdentifier:
         return numbers
 
     def _carry(self, placed: PlacedShips | None) -> Carry | None:
-        """Tell how the image moved since the last one that was followed, if poses tell it."""
+        """Return how the image moved since the last one that was followed, if poses say so."""
         before, self._viewpoint = self._viewpoint, None if placed is None else placed.viewpoint
         if before is None or self._viewpoint is None:
             return None
         return partial(_carried, before, self._viewpoint)
 
     def _id_doubts(self, ids: Sequence[str]) -> Finding:
-        """Count ids that are no tracks, and complain of them."""
+        """Count and report ids that are not those of tracks."""
         doubts = [*self._watch.note(ids)]
         return Finding(
             {doubt.key: doubt.detections for doubt in doubts},
@@ -329,7 +329,7 @@ class ShipIdentifier:
             return Finding({})
         text = (
             f'a message has the stamp {stamp_text(stamp)}, the one before it '
-            f'{stamp_text(last)}: ships are followed by stamps, which have to grow'
+            f'{stamp_text(last)}: the node follows ships by stamps, which must increase'
         )
         return Finding({'stamps_not_later': 1}, {'stamps': text})
 
@@ -365,7 +365,7 @@ def _image_boxes(
 
 
 def _carried(before: Viewpoint, after: Viewpoint, places: Places) -> Places:
-    """Tell where what the last image showed is in this one."""
+    """Carry places from the last image to this one."""
     x, y = before.pixels_in(after, np.stack((places.real, places.imag), axis=-1)).T
     carried: Places = x + 1j * y
     return carried
@@ -397,7 +397,7 @@ def _with_ids(image: TrackedImage, ids: Sequence[str], settings: TrackerSettings
     if detections.polygons is not None:
         return detections.with_ids(ids, _boxes_of_polygons(detections, settings), image.rows)
     if ids == image.own_ids:
-        # Ids that are not UTF-8 remain.
+        # This keeps ids that are not UTF-8.
         none = np.zeros(len(ids), np.bool_)
         return detections.rewrite(np.zeros((len(ids), 4)), none)
     return detections.with_ids(ids, rows=image.rows)

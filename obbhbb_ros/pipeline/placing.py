@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the ships of an image are on Earth: boxes, camera and poses in, places and reasons out."""
+"""Place the ships of an image on Earth: boxes, camera and poses in, places and reasons out."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ from obbhbb_ros.wire.stamp import stamp_text
 
 _REASONS = {
     Unplaced.NO_BOX: ('invalid', 'the box is invalid'),
-    Unplaced.NO_RAY: ('lens', 'the distortion of the lens has no inverse there'),
+    Unplaced.NO_RAY: ('lens', 'the distortion of the lens has no inverse at the box'),
     Unplaced.BELOW_SURFACE: ('below_surface', 'the camera is below surface_height'),
-    Unplaced.ABOVE_HORIZON: ('above_horizon', 'a part of the ship is above the horizon'),
-    Unplaced.LOW: ('low', 'the camera stands lower above its horizon than min_elevation'),
+    Unplaced.ABOVE_HORIZON: ('above_horizon', 'part of the ship is above the horizon'),
+    Unplaced.LOW: ('low', 'seen from the ship, the camera stands lower than min_elevation'),
 }
 
 
@@ -53,11 +53,11 @@ class PlacedShips:
     placement : Placement
         Where they are; NaN where they have no place.
     viewpoint : Viewpoint or None
-        The camera of the image and its pose, if both are known and the same for all of its lines.
+        The camera of the image and its pose, if both are known and the same for all lines.
     pose : CameraPose, PoseSweep or None
-        Its pose, if that is known.
+        The pose of the camera, if that is known.
     age : float
-        Seconds between the image and the sample of the pose that is nearest to it; 0 without one.
+        Seconds between the image and the nearest sample of the pose; 0 without one.
     finding : Finding
         How many have no place, and why.
     """
@@ -165,7 +165,7 @@ class ShipPlacer:
             reason = ('no_camera', pinhole)
         elif pose is None:
             why = self._poses.why_not(stamp)
-            reason = ('no_pose', f'no pose within pose_max_age: {why}')
+            reason = ('no_pose', f'no poses before and after it within pose_max_age: {why}')
         else:
             heights = settings.surface_height, settings.min_elevation
             ships = place(boxes, pinhole, pose, *heights)
@@ -202,7 +202,7 @@ class ShipPlacer:
     ) -> Pinhole | str:
         """Return the camera of an image, or why there is none."""
         if camera is None:
-            return 'no camera_info has come'
+            return 'no camera_info has come: publish it, or remap camera_info to its topic'
         if image_size and all(camera.image_size) and not camera.fits(image_size):
             stated, given = ('{} x {}'.format(*size) for size in (camera.image_size, image_size))
             return f'camera_info is of {stated} pixels, image_width and image_height say {given}'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ships that were seen since the last list."""
+"""The ships seen since the last list."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from obbhbb_ros.tracking.ground_track import Velocity
 
 __all__ = ['ShipCollector']
 
-# Characters of an id or a class, so that a list of many ships can be read again.
+# Maximum characters of an id or a class, so that a list of many ships stays readable.
 _MAX_TEXT = 64
-# Degrees between the axis of a hull and its way, up to which a ship is taken to go ahead.
+# A ship counts as going ahead up to this angle between its axis and its track, degrees.
 _AHEAD = 30.0
 # Sine of the height of the camera above the horizon, below which it is all the same.
 _MIN_HEIGHT = 1e-3
@@ -32,12 +32,12 @@ _MIN_HEIGHT = 1e-3
 
 class ShipCollector:
     """
-    Remembers ships from image to image, until a list of them is taken.
+    Remembers ships from image to image, until somebody takes a list of them.
 
-    Place, course, length and width are those of the best view: of the whole ship, then with the
-    smallest uncertainty, or the camera highest above it; of alike ones the last, so that a ship
-    under way is where it was last. Class and score are the most certain ones. A ship under way goes
-    bow first: its track tells bow from stern.
+    Place, course, length and width come from the best view: a view of the whole ship, then one with
+    the smallest uncertainty, or with the camera highest above it. If views are alike, the last one
+    counts, so that a ship under way is where it was last. Class and score are the most certain
+    ones. A ship under way goes bow first: its track tells bow from stern.
     """
 
     def __init__(self) -> None:
@@ -143,7 +143,7 @@ class _SeenShip:
     def note(
         self, report: ShipReport, quality: _Quality, class_id: str, score: float | None
     ) -> None:
-        """Keep what a view tells better than those before."""
+        """Keep what a view says better than those before."""
         self._first, self._last = min(self._first, report.first), max(self._last, report.last)
         self._compare(report, quality)
         if score is not None and score > self._score:
@@ -163,7 +163,7 @@ class _SeenShip:
             self._quality = quality._replace(spread=spread)
 
     def report(self) -> ShipReport:
-        """Say what is known of it."""
+        """Report what is known about it."""
         assert self._best is not None
         velocity = self._track.velocity()
         report = replace(
@@ -184,7 +184,7 @@ def _report(
     row: int,
     ellipse: tuple[float, float, float] | None,
 ) -> ShipReport:
-    """Say what a view tells of a ship."""
+    """Report what one view says about a ship."""
     return ShipReport(
         id=ship,
         latitude=float(places.latitude[row]),
@@ -208,7 +208,7 @@ def _known(ellipse: FloatArray | None) -> tuple[float, float, float] | None:
 
 
 def _under_way(report: ShipReport, velocity: Velocity) -> ShipReport:
-    """Add speed and course over ground, and let the course of the bow follow the way."""
+    """Add speed and course over ground, and turn the bow into the direction of travel."""
     moving = replace(
         report,
         speed=velocity.speed,

@@ -22,22 +22,22 @@ __all__ = [
 ]
 
 MAX_LIST_BYTES = 2**24
-"""Maximum size of a list that is read, unpacked: some 50,000 ships."""
+"""Maximum unpacked size of a list that is read: some 50,000 ships."""
 MAX_SHIPS = 20_000
-"""Ships that are remembered until they are listed, or wait in a list."""
+"""Maximum number of ships that are remembered for the next list, or that wait in a list."""
 
 ALIKE = 0.9
-"""Uncertainties, and lengths, of a greater ratio do not say which view of a ship is better."""
+"""If uncertainties or lengths differ by less than this factor, neither view is better."""
 
 
 class ShipListError(ObbhbbError, ValueError):
-    """A file is no ship list, or a damaged one; the text says why."""
+    """A file is not a ship list, or is damaged; the text says why."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShipReport:
     """
-    What a ship list says of a ship.
+    What a ship list says about a ship.
 
     Attributes
     ----------
@@ -117,12 +117,12 @@ def most_valuable(ships: Sequence[ShipReport], count: int) -> list[ShipReport]:
 
 def joined_reports(*reports: ShipReport) -> ShipReport:
     """
-    Join what lists and chips say of one ship, the earliest first.
+    Join what lists and chips say about one ship, the earliest first.
 
-    Place, course and size are those of the smaller uncertainty; where these are alike, of the later
-    report, unless the ship is shorter there and seen less often: a ship that leaves the image is
-    seen in part. Class and score are the most certain ones; speed and its course those of
-    the last report that has them.
+    Place, course and size are those with the smaller uncertainty. If the uncertainties are alike,
+    the later report counts, unless the ship is shorter there and seen less often: the border of the
+    image cuts a ship that leaves. Class and score are the most certain ones; speed and its course
+    come from the last report that has them.
 
     Examples
     --------
@@ -153,7 +153,7 @@ def joined_reports(*reports: ShipReport) -> ShipReport:
 
 
 def _better(earlier: ShipReport, later: ShipReport) -> ShipReport:
-    """Return the report that tells better where a ship was."""
+    """Return the report that knows better where a ship was."""
     first, second = (ship.sigma_m[0] if ship.sigma_m else None for ship in (earlier, later))
     if (first is None) != (second is None):
         return earlier if second is None else later

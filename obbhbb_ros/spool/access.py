@@ -25,7 +25,7 @@ def booking(
     """Run a `with` block as one transaction that may change a catalogue and its books."""
 
     def report_restored() -> None:
-        on_trouble(f'{catalogue.folder}: damaged books are restored from their copy')
+        on_trouble(f'{catalogue.folder}: damaged books were restored from their copy')
 
     with catalogue.transaction(write=True) as rows:
         books = Books.read(rows, report_restored)
@@ -46,7 +46,7 @@ class SpoolAccess:
     folder : Path
         Folder of the spool; created if it is missing.
     on_trouble : callable
-        Called with a text about anything that an operator should know and that raises no error.
+        Called with a text about anything that an operator should know but that raises no error.
 
     Attributes
     ----------

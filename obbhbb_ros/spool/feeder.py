@@ -45,9 +45,9 @@ from obbhbb_ros.spool.releaser import Stall
 _BATCH = 16
 # Seconds to wait: with nothing to do, after a failure, and between two looks into the outbox.
 _IDLE, _RETRY, _LOOK = 0.1, 1.0, 1.0
-# Looks into the outbox may take this share of the time.
+# Looking into the outbox may take this share of the time.
 _LOOK_SHARE = 0.05
-# Cameras to remember: one that zooms is another in every image.
+# Cameras to remember: one that zooms is a different camera in every image.
 _MAX_CAMERAS = 1000
 
 
@@ -221,26 +221,28 @@ class OutboxFeeder:
         """Refuse an outbox that is not the one that chips have gone into; it may be unmounted."""
         expected, folder = self._spool.outbox(), self._outbox.folder
         if expected and not folder.exists():
-            raise SpoolError(f'{folder} is missing; is it mounted? Make it if it is to be new')
+            raise SpoolError(
+                f'{folder} is missing; is it mounted? For a new outbox, create this folder'
+            )
         token = self._outbox.token()
         self._outbox.lock()
         if token == expected:
             return
         if expected and (waiting := len(self._spool.ids(ChipState.RELEASED))):
             raise SpoolError(
-                f'{folder} is not the outbox into which {waiting} chips were released that have '
-                'not been removed yet; is it mounted? If that one is lost: obbhbb spool PATH '
+                f'{folder} is not the outbox that has {waiting} released chips which the bus has '
+                'not removed; is it mounted? If that outbox is lost for good: obbhbb spool PATH '
                 'forget-outbox'
             )
         if expected:
-            self._on_trouble(f'{folder} is another outbox than before; is it mounted?')
+            self._on_trouble(f'{folder} is not the same outbox as before; is it mounted?')
         self._spool.set_outbox(token)
 
     def _record(self) -> None:
         """Write down what became of the chips of a batch."""
         (put, left), removal = self._batch, self.settings.removal
         if put and removal and self._is_replaced():
-            # They are in another folder; the outbox is read again when it is back.
+            # They are in another folder; the next step reads the outbox when it is back.
             put.clear()
             raise SpoolError(f'{self._outbox.folder} was replaced; is it mounted?')
         self._spool.released(put, is_delivered=not removal)
@@ -249,7 +251,7 @@ class OutboxFeeder:
         left.clear()
 
     def _is_replaced(self) -> bool:
-        """Return whether another folder, or none, is in place of the outbox."""
+        """Return whether another folder, or none, is in the place of the outbox."""
         token = self._spool.outbox()
         return bool(token) and not (self._outbox.folder.exists() and token == self._outbox.token())
 
@@ -277,7 +279,7 @@ class OutboxFeeder:
         if not self.is_contact:
             self.stalled_by = 'no contact'
             if not settings.removal:
-                # Nothing tells whether the ground has them: they come down once in each contact.
+                # Nothing says whether the ground has them: they come down once in each contact.
                 self._known_cameras.clear()
             return _IDLE
         overhead = settings.budget.overhead

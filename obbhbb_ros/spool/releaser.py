@@ -30,7 +30,7 @@ _JSON_ROOM = 192
 # Bytes that a chip costs on the link: its file and its JSON. A damaged chip costs nothing: it is
 # claimed, and evicted.
 _COST = f'ifnull(bytes + length(CAST(facts AS BLOB)) + {_JSON_ROOM}, 0)'
-# No JSON makes it less.
+# JSON cannot make it less.
 _LEAST_COST = 'ifnull(bytes + 0, 0)'
 
 
@@ -207,8 +207,8 @@ class SpoolReleaser(SpoolAccess):
                 else:
                     books.count('evicted.damaged', 1)
                     self._on_trouble(
-                        f'what the spool holds of {chip_id} is damaged: it left the outbox, but '
-                        'does not count as delivered'
+                        f'the record of {chip_id} in the spool is damaged: the chip left the '
+                        'outbox, but does not count as delivered'
                     )
 
     def _on_open(self, rows: sqlite3.Cursor) -> None:

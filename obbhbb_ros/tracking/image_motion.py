@@ -31,25 +31,25 @@ from obbhbb_ros.tracking.sightings import SightedFrame
 from obbhbb_ros.tracking.sightings import are_inside
 from obbhbb_ros.tracking.sightings import middle_of
 
-# The longest boxes vote; that bounds the pairs.
+# Only the longest boxes vote, which bounds the number of pairs.
 _VOTERS = 200
 _LIKE_SHARE = 0.1
-# Share of the boxes that must meet an object, or other motions are tried.
+# The matcher tries other motions until this share of the boxes meets an object.
 _EXPLAINED = 0.6
-# The camera's motion: for so many seconds it is remembered, and by so much it changes a frame.
+# The camera's motion: how many seconds it is remembered, and how much it changes in a frame.
 _DRIFT_MEMORY = 3.0
 _DRIFT_ERROR = 0.1
 _MIN_COMMON = 3
-# Until it is measured by how much the pose is off from image to image, pixels.
+# Error of the pose from image to image before it is measured, pixels.
 _POSE_ERROR = 20.0
-# By so much more or less the next image does not show anything.
+# The scale of the next image does not change by more than this factor.
 _MAX_ZOOM = 1e3
-# Pixels over which turn and scale of the image are taken.
+# Distance over which turn and scale of the image are measured, pixels.
 _ARM = 100.0
 
 
 class _Guess(NamedTuple):
-    """A guess how the image moved; `by` says how it was made."""
+    """A guess how the image moved; `by` names the method."""
 
     by: str
     motion: Motion
@@ -59,9 +59,9 @@ class ImageMotion:
     """Finds how image after image moved, and remembers how the camera drifts."""
 
     def __init__(self) -> None:
-        # By how much the pose is off from image to image, pixels.
+        # Error of the pose from image to image, pixels.
         self._pose_error = _POSE_ERROR
-        # Of the middle of the image, px/s.
+        # Motion of the middle of the image, px/s.
         self._drift: complex | None = None
 
     def follow(self, objects: Rows, frame: SightedFrame, step: float, carry: Carry | None) -> Rows:
@@ -99,7 +99,7 @@ class ImageMotion:
     def _learn(self, motion: Motion, by_pose: Motion | None, step: float, middle: complex) -> None:
         """Remember how fast the image moves, and by how much the pose is off."""
         if by_pose is not None:
-            # The largest of late, so that a lucky image does not narrow the gates.
+            # The largest recent one, so that a lucky image does not narrow the gates.
             self._pose_error = max(abs(motion.shift), 0.9 * self._pose_error)
             motion = motion.after(by_pose)
         if 0.0 < abs(step) < math.inf:
@@ -111,12 +111,12 @@ class ImageMotion:
         return Motion(1.0, shift, _DRIFT_ERROR * abs(shift))
 
     def _motion(self, objects: Rows, frame: SightedFrame, prior: Motion) -> tuple[Motion, bool]:
-        """Find how the image moved, and whether that is measured."""
+        """Find out how the image moved, and whether that was measured."""
         if not len(objects) or not len(frame.boxes):
             return prior, False
         boxes, noise = frame.boxes, frame.noise
         guess, pairs = self._best_guess(objects, frame, prior)
-        # Ships at the border hardly measure it.
+        # Ships at the border say little about it.
         steady = boxes['whole'][pairs.boxes] & objects['whole'][pairs.objects]
         rows = Pairs(*(column[steady] for column in pairs)) if steady.any() else pairs
         if not len(rows.off):
@@ -145,7 +145,7 @@ class ImageMotion:
             moved = guess.motion.of(objects)
             pairs = assigned(moved, boxes, size)
             inside = are_inside(moved['place'], size)
-            # Chance alone gives some: wide gates do not make a guess better.
+            # Some meet by chance: wide gates do not make a guess better.
             gates = math.pi * GATE**2 * (moved['place_var'][inside] + frame.noise**2)
             chance = _LIKE_SHARE * len(boxes) / frame.area * gates.sum()
             met = len(pairs.off) - chance
@@ -156,7 +156,7 @@ class ImageMotion:
         return best, best_pairs or assigned(prior.of(objects), boxes, size)
 
     def _guesses(self, objects: Rows, frame: SightedFrame, prior: Motion) -> Iterator[_Guess]:
-        """Guess how the image moved: as before, by vote, with a turn, by all that is remembered."""
+        """Guess how the image moved: as before, by vote, with a turn, from all objects."""
         boxes, noise, area = frame.boxes, frame.noise, frame.area
         is_steady = prior.error <= 3 * noise
         if is_steady:
@@ -196,7 +196,7 @@ def motion_of(carry: Carry, middle: complex) -> Motion | None:
 
 
 def _carried(objects: Rows, carry: Carry, about_middle: Motion) -> Rows:
-    """Move objects as the pose tells; where that is unknown, as the middle of the image."""
+    """Move objects as the pose says; where that is unknown, like the middle of the image."""
     moved = about_middle.of(objects)
     middles: Places = objects['place']
     half = np.asarray(objects['length'] / 2 * np.exp(1j * objects['angle']), np.complex128)
@@ -223,5 +223,5 @@ def _are_last(objects: Rows) -> NDArray[np.bool_]:
 
 
 def _longest(rows: Rows, count: int) -> Rows:
-    """Return the longest ones, the longest first."""
+    """Return the longest rows, the longest first."""
     return rows[np.argsort(-rows['length'], kind='stable')[:count]]

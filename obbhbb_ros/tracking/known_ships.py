@@ -14,16 +14,16 @@ from obbhbb_ros.tracking.sightings import Rows
 from obbhbb_ros.tracking.sightings import axis_turn
 
 MAX_OBJECTS = 20_000
-"""Objects remembered, those seen last."""
+"""Maximum number of objects to remember; the ones seen last stay."""
 
-# By how much the speed of a ship changes within a second, ship lengths per second.
+# Change of the speed of a ship within a second, ship lengths per second.
 _UNREST = 0.05
-# Standard deviation of a place, pixels: until it is measured, and its limits.
+# Standard deviation of a place, pixels: before it is measured, and its limits.
 _NOISE = 2.0
 _NOISES = (1.0, 8.0)
 # The median of the modulus of a complex normal number, in standard deviations.
 _MEDIAN = 1.18
-# A steady ship: seen so often, whole; noise is measured by so many of them.
+# A steady ship was seen whole this often; it takes this many steady ships to measure the noise.
 _MIN_HITS = 3
 _MIN_STEADY = 5
 # Weight of a new length or angle.
@@ -73,7 +73,7 @@ class KnownShips:
         self.rows = objects
         if not len(objects):
             return
-        # A speed that may be none is none: it would lead far away in time.
+        # A speed that is not significant counts as 0: it would lead far away in time.
         is_under_way = np.abs(objects['speed']) ** 2 > 9 * objects['speed_var']
         objects['place'] += np.where(is_under_way, objects['speed'] * step, 0.0)
         unrest = (_UNREST * objects['length']) ** 2 * abs(step)
@@ -81,7 +81,7 @@ class KnownShips:
         objects['place_var'] += unrest * step**2 / 3
         objects['shared_var'] += step * objects['speed_var'] + unrest * step / 2
         objects['speed_var'] += unrest
-        # Nobody is expected more than a ship length off.
+        # No ship is expected to be off by more than its length.
         spread = np.sqrt(np.maximum(objects['place_var'], 0.0))
         cut = objects['length'] / np.maximum(objects['length'], spread)
         objects['place_var'] *= cut**2
@@ -100,7 +100,7 @@ class KnownShips:
         known['shared_var'] *= 1 - gain
         known['place_var'] *= 1 - gain
         length = _new_lengths(known, boxes)
-        # The end that is seen stays where it is.
+        # The visible end stays where it is.
         known['place'] -= inner * (length - known['length']) / 2
         known['length'] = length
         known['whole'] |= boxes['whole']
@@ -111,7 +111,7 @@ class KnownShips:
         self.rows[pairs.objects] = known
 
     def _measure_noise(self, known: Rows, boxes: Rows, deviations: FloatArray) -> None:
-        """Measure by steady ships how far places are off."""
+        """Measure the error of places with steady ships."""
         steady = (known['hits'] >= _MIN_HITS) & boxes['whole']
         if steady.sum() >= _MIN_STEADY:
             measured = self.noise * float(np.median(deviations[steady])) / _MEDIAN
@@ -120,7 +120,7 @@ class KnownShips:
 
 
 def _new_lengths(known: Rows, boxes: Rows) -> FloatArray:
-    """Return the lengths of objects, corrected by their boxes: those of a whole ship count."""
+    """Return the lengths of objects, corrected by boxes that show the whole ship."""
     of_part = np.where(
         known['whole'], known['length'], np.maximum(known['length'], boxes['length'])
     )

@@ -2,8 +2,9 @@
 """
 Numbers for ships, from the boxes of a camera that moves.
 
-For each frame: move the known ships on by their own speeds, find how the image moved, pair boxes
-and ships within gates that grow with the time for which a ship was not seen, correct the ships.
+For each frame, the matcher moves the known ships on by their own speeds, finds how the image moved,
+pairs boxes and ships within gates, and corrects the ships. The gates grow while no frame shows a
+ship.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from obbhbb_ros.tracking.sightings import SightedFrame
 from obbhbb_ros.tracking.sightings import sightings
 
 MAX_BOXES = 5000
-"""Boxes of a frame that are followed, the longest."""
+"""Maximum number of boxes to follow in a frame, the longest ones."""
 
 _MIN_LENGTH = 1e-2
 
@@ -37,7 +38,7 @@ class ShipMatcher:
     Parameters
     ----------
     memory : float
-        For how long a ship that is not seen is remembered, seconds.
+        How long to remember a ship that no frame shows, seconds.
 
     Examples
     --------
@@ -84,13 +85,14 @@ class ShipMatcher:
         size : complex
             Width and height of the image, pixels.
         carry : callable, optional
-            Tells by the pose of the camera how the image moved since the last call.
+            Says, from the pose of the camera, how the image moved since the last call.
 
         Returns
         -------
         ndarray of int, shape (N,)
             Numbers from 0, the same for boxes of one ship. They do not depend on the order of the
-            boxes. -1 for boxes that are not followed: of no size, not finite, or too many.
+            boxes. -1 for boxes that are not followed: they have no size, are not finite, or there
+            are too many.
         """
         numbers = np.full(len(place), -1, np.int64)
         followed = _followed(place, length, angle)
@@ -114,7 +116,7 @@ class ShipMatcher:
 
 
 def _followed(place: Places, length: FloatArray, angle: FloatArray) -> NDArray[np.intp]:
-    """Return the rows of the boxes that are followed, in an order that is that of their places."""
+    """Return the rows of the boxes to follow, in an order that depends only on the boxes."""
     with np.errstate(invalid='ignore', over='ignore'):
         usable = (np.abs(place) < MAX_PIXELS) & (length > _MIN_LENGTH) & (length < MAX_PIXELS)
     rows = np.flatnonzero(usable & np.isfinite(angle))

@@ -32,15 +32,15 @@ PERIOD = 1.0
 WAITING = {
     'unconfigured': 'waits for a lifecycle manager to configure it',
     'inactive': 'waits for a lifecycle manager to activate it',
-    'finalized': 'has to be started anew',
+    'finalized': 'restart its process',
 }
 """What a node waits for in each state in which it does not work."""
 
 _WARNING_PERIOD = 5.0
 _MAX_SAID = 100
-# Without input, the level is ERROR after the input timeout, and STALE after so many of them.
+# Without input, the level is ERROR after the input timeout, and STALE after this many of them.
 _STALE_AFTER = 3.0
-# So many, because a subscriber has to discover a restarted node before it hears of the restart.
+# This many, because a subscriber must discover a restarted node before it hears of the restart.
 _REMINDERS = 10
 
 
