@@ -242,7 +242,7 @@ def no_size_complaint(consequences: list[str]) -> dict[str, str]:
     """Say what follows from an unknown size of the image."""
     return {
         'no image size': f'{", ".join(consequences)} without the size of the image: set '
-        'image_width and image_height, or publish camera_info'
+        'image_width and image_height, or publish camera_info, or remap camera_info to its topic'
     }
 
 

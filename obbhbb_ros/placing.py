@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the ships of an image are on Earth: boxes, camera and poses in, places and reasons out."""
+"""Place the ships of an image on Earth: boxes, camera and poses in, places and reasons out."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ class ShipPlacer:
             reason = ('no_camera', pinhole)
         elif pose is None:
             why = self._poses.why_not(stamp)
-            reason = ('no_pose', f'no pose within pose_max_age: {why}')
+            reason = ('no_pose', f'no poses before and after it within pose_max_age: {why}')
         else:
             heights = settings.surface_height, settings.min_elevation
             ships = place(boxes, pinhole, pose, *heights)
@@ -198,7 +198,7 @@ class ShipPlacer:
     def _pinhole(self, camera: WireCamera | None) -> Pinhole | str:
         """Return the camera of an image, or why there is none."""
         if camera is None:
-            return 'no camera_info has come'
+            return 'no camera_info has come: publish it, or remap camera_info to its topic'
         if self._known is None or not _is_alike(self._known[0], camera):
             try:
                 pinhole = Pinhole(camera.k, camera.d, camera.model, camera.roi[:2], camera.binning)

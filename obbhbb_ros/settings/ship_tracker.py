@@ -36,7 +36,7 @@ class PlaceSettings:
     Attributes
     ----------
     pose_max_age : float
-        How far the poses that the pose of an image is made of may be from it, seconds.
+        How far from an image the poses before and after it may be, seconds.
     surface_height : float
         Height of the water above the ellipsoid, metres.
     min_elevation : float
@@ -87,7 +87,7 @@ class TrackerSettings:
     keeps_ids : bool
         Whether ids of the input are kept.
     memory : float
-        For how long a ship that is not seen is remembered, seconds.
+        How long the node remembers a ship that it does not see, seconds.
     image_size : tuple of int
         Width and height from the parameters, pixels; 0 where `camera_info` decides.
     input_frame : InputFrame
@@ -143,6 +143,11 @@ def _place_settings(values: Mapping[str, Any]) -> PlaceSettings:
     """Make settings for the places of ships."""
     mount = tuple(values['camera_mount'])
     if values['pose_type'] == VEHICLE:
+        if not any(mount):
+            raise ValueError(
+                f'camera_mount is missing: {VEHICLE} needs x, y, z and w of the rotation from the '
+                'optical frame to the body of the vehicle'
+            )
         try:
             mount = tuple(unit_quaternion(mount).tolist())
         except ValueError as error:
@@ -170,37 +175,38 @@ SHIP_TRACKER = ParameterTable(
         Parameter(
             'ids',
             'keep',
-            'What becomes of ids in the input: `keep` them, and give ids to detections without '
-            'one; or `assign` ids to all.',
+            'What to do with the ids of the input: `keep` them, and give ids only to detections '
+            'without one; or `assign` new ids to all detections.',
             Choices(('keep', 'assign')),
         ),
         Parameter(
             'memory',
             30.0,
-            'For how long a ship that is not seen keeps its id, seconds.',
+            'How long a ship keeps its id while no image shows it, seconds.',
             Range(0.0, 1e6),
         ),
         *IMAGE_SIZE,
         Parameter(
             'heading',
             'none',
-            "`theta`: theta is the ship's heading (full circle); otherwise the course of a ship "
-            'may be the opposite one.',
+            "`theta`: theta is the ship's heading (full circle). `none`: the course of a ship may "
+            'be off by 180 degrees.',
             Choices(('none', 'theta')),
         ),
         Parameter(
             'pose_type',
             NO_POSE,
-            'What tells where the camera is: the message type on `camera_pose`, or `NavSatFix` for '
-            'messages on `fix` and `attitude`. `none`: ships get no places.',
+            'How the node learns where the camera is: the message type on `camera_pose`, or '
+            '`NavSatFix` for messages on `fix` and `attitude`. `none`: it does not place ships on '
+            'Earth.',
             Choices(POSE_TYPES),
             read_only=True,
         ),
         Parameter(
             'camera_mount',
             [0.0, 0.0, 0.0, 0.0],
-            'With `NavSatFix`: x, y, z, w of the rotation from the optical frame of the camera to '
-            'the body of its vehicle. It has to be given.',
+            'Required with `NavSatFix`: x, y, z, w of the rotation from the optical frame of the '
+            'camera to the body of its vehicle.',
         ),
         Parameter(
             'pose_max_age',
@@ -211,7 +217,8 @@ SHIP_TRACKER = ParameterTable(
         Parameter(
             'readout',
             0.0,
-            'Seconds from the first line of an image, whose time is the stamp, to the last line.',
+            'Seconds from the first line of an image, which has the time of the stamp, to the last '
+            'line.',
             Range(0.0, 3600.0),
         ),
         Parameter(
@@ -224,16 +231,16 @@ SHIP_TRACKER = ParameterTable(
         Parameter(
             'min_elevation',
             5.0,
-            'How high the camera must stand above the horizon of a ship, degrees. Ships that see '
-            'it lower get no place.',
+            'How high the camera must stand above the horizon as seen from a ship, degrees. The '
+            'node does not place ships that see it lower.',
             Range(0.0, 90.0),
         ),
         *(
             Parameter(
                 f'{end}_length',
                 0.0,
-                f'{end.capitalize()}imum length of a ship, metres; {others} ones are not passed '
-                'on. 0: any. Needs a pose.',
+                f'{end.capitalize()}imum length of a ship, metres; the node does not pass on '
+                f'{others} ones. 0: any length. Needs a pose.',
                 Range(0.0, 1e6),
             )
             for end, others in (('min', 'shorter'), ('max', 'longer'))
@@ -241,16 +248,17 @@ SHIP_TRACKER = ParameterTable(
         Parameter(
             'report_period',
             0.0,
-            'Seconds between two ship lists, of the ships seen since the last. 0: none. Needs a '
-            'pose and `spool.path`.',
+            'Seconds between two ship lists; a list has the ships seen since the last one. 0: no '
+            'lists. Needs a pose and `spool.path`.',
             Range(0.0, 1e6),
             read_only=True,
         ),
         Parameter(
             'report_max_bytes',
             0,
-            'Maximum size of a list, bytes: it is a binary message then, of the most valuable '
-            'ships; the rest goes in the next. 340: one short-burst message. 0: GeoJSON of all.',
+            'Maximum size of a list, bytes. A list is then a binary message with the most valuable '
+            'ships, and the others go into the next one. 340 suits a short-burst message. 0: one '
+            'GeoJSON file of all ships.',
             Range(0, 1_000_000),
         ),
         Parameter(

@@ -319,7 +319,7 @@ def test_ships_of_another_length_are_left_out_while_the_node_runs(begin: Begin) 
 def test_a_node_with_a_pose_that_cannot_be_does_not_start(site: Site) -> None:
     with site.start('ship_tracker', parameters={'pose_type': 'NavSatFix'}) as process:
         assert process.wait() == 1
-        assert 'cannot start: camera_mount must be' in process.log
+        assert 'cannot start: camera_mount is missing' in process.log
 
 
 @pytest.mark.parametrize('frame', ['', 'earth', 'a_longer_frame'])

@@ -171,6 +171,7 @@ def test_a_pose_is_interpolated_and_never_extrapolated() -> None:
         assert positions.ids == tracked.ids()
         assert poses == []
     assert 'no pose has come' in outcome.complaints['no_pose']
+    assert 'before and after it' in outcome.complaints['no_pose']
     outcome, *_ = placed(ORBIT, known(*around), boxes, pose_max_age=0.4)
     assert 'the nearest pose is 0.5 s' in outcome.complaints['no_pose']
 
@@ -355,7 +356,7 @@ def test_poses_in_another_frame_are_refused() -> None:
 @pytest.mark.parametrize(
     ('values', 'words'),
     [
-        ({'pose_type': 'NavSatFix'}, 'camera_mount must be'),
+        ({'pose_type': 'NavSatFix'}, 'camera_mount is missing: NavSatFix needs'),
         ({'pose_type': 'NavSatFix', 'camera_mount': [1.0, 2.0]}, 'camera_mount must be'),
         ({'min_length': 5.0}, 'min_length needs a pose'),
         ({'pose_type': 'Odometry', 'min_length': 5.0, 'max_length': 4.0}, 'at most max_length'),
