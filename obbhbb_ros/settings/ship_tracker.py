@@ -264,7 +264,7 @@ SHIP_TRACKER = ParameterTable(
         Parameter(
             'spool.path',
             '',
-            'Folder of the spool of chip_extractor, for ship lists.',
+            'Folder of the spool for ship lists; as a rule that of chip_extractor.',
             read_only=True,
         ),
     ),
