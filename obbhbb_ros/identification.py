@@ -262,7 +262,7 @@ class ShipIdentifier:
             return {}, {}
         text = (
             f'a message has the stamp {stamp_text(stamp)}, the one before it '
-            f'{stamp_text(last)}: ships are followed by stamps, which have to grow'
+            f'{stamp_text(last)}: the node follows ships by stamps, which must increase'
         )
         return {'stamps_not_later': 1}, {'stamps': text}
 

@@ -33,10 +33,10 @@ from obbhbb_ros.wire.stamp import stamp_text
 
 _REASONS = {
     Unplaced.NO_BOX: ('invalid', 'the box is invalid'),
-    Unplaced.NO_RAY: ('lens', 'the distortion of the lens has no inverse there'),
+    Unplaced.NO_RAY: ('lens', 'the distortion of the lens has no inverse at the box'),
     Unplaced.BELOW_SURFACE: ('below_surface', 'the camera is below surface_height'),
-    Unplaced.ABOVE_HORIZON: ('above_horizon', 'a part of the ship is above the horizon'),
-    Unplaced.LOW: ('low', 'the camera stands lower above its horizon than min_elevation'),
+    Unplaced.ABOVE_HORIZON: ('above_horizon', 'part of the ship is above the horizon'),
+    Unplaced.LOW: ('low', 'seen from the ship, the camera stands lower than min_elevation'),
 }
 
 

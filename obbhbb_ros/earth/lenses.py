@@ -102,7 +102,8 @@ def lens_of(model: str, coefficients: Sequence[float]) -> Lens:
         count = 0
     if numbers[count:].any():
         known = f'{count} coefficients of {model}' if count else ', '.join(MODELS)
-        raise ValueError(f'distortion {model!r} of {len(numbers)} coefficients: {known} are known')
+        given = f'distortion {model!r} with {len(numbers)} coefficients'
+        raise ValueError(f'{given} is not supported; supported are {known}')
     padded = np.zeros(max(count, 8))
     padded[: len(numbers[:count])] = numbers[:count]
     return EquidistantLens(padded[:4]) if model == 'equidistant' else PolynomialLens(padded)

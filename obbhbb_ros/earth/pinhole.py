@@ -71,7 +71,7 @@ class Pinhole:
             raise ValueError('K is 0: the camera is not calibrated')
         fx, skew, cx, _, fy, cy, *_ = numbers
         if numbers[3:4] + numbers[6:] != [0.0, 0.0, 0.0, 1.0] or fx <= 0.0 or fy <= 0.0:
-            raise ValueError(f'K is of no camera: {numbers}')
+            raise ValueError(f'no camera has this K: {numbers}')
         if not all(0 <= value < math.inf for value in (*offset, *binning)):
             raise ValueError(f'a window at {offset}, binned by {binning}')
         self.focal_lengths = (fx, fy)

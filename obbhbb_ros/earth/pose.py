@@ -207,7 +207,7 @@ class Fix:
         if status <= _NO_FIX:
             raise PoseError(f'no fix (status {status})')
         if not abs(latitude) <= 90.0 or not abs(longitude) <= 360.0:
-            raise PoseError(f'latitude {latitude}, longitude {longitude}: no degrees')
+            raise PoseError(f'latitude {latitude}, longitude {longitude} are not degrees')
         known = None if covariance_type == _UNKNOWN else _covariance(covariance, 3)
         if known is not None:
             axes = east_north_up(latitude, longitude)
@@ -281,7 +281,7 @@ def _position(numbers: ArrayLike) -> FloatArray:
     """Check a position, (3,), ECEF."""
     position = np.array(numbers, np.float64)
     if position.shape != (3,) or not (np.abs(position) <= _MAX_DISTANCE).all():
-        raise PoseError(f'position {position.tolist()}: not three numbers of metres')
+        raise PoseError(f'position {position.tolist()} is not three numbers in metres')
     return position
 
 

@@ -58,7 +58,7 @@ def unit_quaternion(numbers: ArrayLike) -> FloatArray:
     length = math.hypot(*quaternion.tolist())
     # NaN compares as false.
     if not abs(length - 1.0) <= _MAX_OFF:
-        raise ValueError(f'a quaternion of length {length:.6g}, not 1')
+        raise ValueError(f'the quaternion has length {length:.6g}, not 1')
     unit: FloatArray = quaternion / length
     return unit
 

@@ -81,7 +81,7 @@ _EXPLANATIONS = {
     'cache.max_bytes wait; see crop.max_images',
 }
 _LOST_FOR_GOOD = {
-    Dropped.OUTSIDE.value: 'they lie outside the image; was the plan made for another?',
+    Dropped.OUTSIDE.value: 'they lie outside the image; were they planned for another?',
     Dropped.LARGER_THAN_BURST.value: 'they exceed budget.burst, so no pause is long enough',
 }
 _MISTAKES = (Unpaired.DUPLICATE, Unpaired.ZERO_STAMP)
@@ -262,7 +262,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
     def _on_fade_changed(self, before: float) -> None:
         """Log that chips that wait have other ranks now."""
         fade = self.parameters.settings.spool_fade
-        self.get_logger().info(f'spool.fade of the spool is {fade:g} now, it was {before:g}')
+        self.get_logger().info(f'spool.fade of the spool is now {fade:g}; it was {before:g}')
 
     def _is_coming(self, stamp: Stamp) -> bool:
         """Return whether the camera of an image, or where its ships are, is on its way."""

@@ -121,8 +121,8 @@ class PlayDetections(Node):
         )
         if missing := self._files.count(None):
             self.get_logger().info(
-                f'{missing} of {len(self._files)} images have no file: their labels are published '
-                'alone'
+                f'{missing} of {len(self._files)} images have no file: only their labels are '
+                'published'
             )
         self._timer = self.create_timer(_POLL_PERIOD, self._begin)
 
@@ -261,7 +261,7 @@ class PlayDetections(Node):
             # The file may have changed, or its size may be written in another way than it is shown.
             if pixels.shape[:2] != (height, width):
                 self.get_logger().error(
-                    f'no image: {file}: it has not the size that it had at the start',
+                    f'no image: {file}: its size is not the one it had at the start',
                     throttle_duration_sec=5.0,
                 )
                 return None

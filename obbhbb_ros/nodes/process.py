@@ -115,7 +115,7 @@ def _made(makers: Mapping[str, Callable[[], Node]]) -> list[Node]:
     names = Counter(node.get_fully_qualified_name() for node in nodes)
     if twice := [name for name, count in names.items() if count > 1]:
         raise StartError(
-            f'several nodes are named {twice[0]}: name one alone, with -r obb_to_hbb:__node:=...'
+            f'several nodes are named {twice[0]}: rename one, with -r obb_to_hbb:__node:=...'
         )
     return nodes
 

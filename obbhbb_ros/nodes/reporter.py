@@ -32,7 +32,7 @@ PERIOD = 1.0
 WAITING = {
     'unconfigured': 'waits for a lifecycle manager to configure it',
     'inactive': 'waits for a lifecycle manager to activate it',
-    'finalized': 'has to be started anew',
+    'finalized': 'restart its process',
 }
 """What a node waits for in each state in which it does not work."""
 

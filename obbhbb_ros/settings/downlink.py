@@ -40,7 +40,9 @@ def _downlink_settings(values: Mapping[str, Any]) -> DownlinkSettings:
         if not path:
             raise ValueError(f'{name} is missing: name a folder')
     if os.path.commonpath((spool, outbox)) in (spool, outbox):
-        raise ValueError(f'outbox.path and spool.path must be apart, not {outbox} and {spool}')
+        raise ValueError(
+            f'outbox.path and spool.path must be separate folders, not {outbox} and {spool}'
+        )
     levels = values['outbox.levels']
     if any(math.isnan(level) for level in levels):
         raise ValueError('outbox.levels must be numbers, not nan')

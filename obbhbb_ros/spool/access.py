@@ -25,7 +25,7 @@ def booking(
     """Run a `with` block as one transaction that may change a catalogue and its books."""
 
     def report_restored() -> None:
-        on_trouble(f'{catalogue.folder}: damaged books are restored from their copy')
+        on_trouble(f'{catalogue.folder}: damaged books were restored from their copy')
 
     with catalogue.transaction(write=True) as rows:
         books = Books.read(rows, report_restored)

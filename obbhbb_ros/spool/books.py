@@ -133,7 +133,7 @@ class Books:
                         books.count('restored', 1)
                         on_restored()
                     return books
-        raise sqlite3.DatabaseError('its books are damaged, and their copy, too')
+        raise sqlite3.DatabaseError('its books and their copy are damaged')
 
     def write(self, rows: sqlite3.Cursor) -> None:
         """Write the books into a catalogue."""

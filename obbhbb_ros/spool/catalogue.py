@@ -216,7 +216,7 @@ class Catalogue:
             self._set_aside('')
         self.close()
         raise SpoolDamagedError(
-            f'{self._path} or its log was deleted or replaced, a new catalogue begins'
+            f'{self._path} or its log was deleted or replaced; a new catalogue begins'
         )
 
     def _files_now(self) -> list[tuple[int, int] | None]:
@@ -286,7 +286,7 @@ class Catalogue:
                 lock = _locked(path)
                 if lock is None:
                     raise sqlite3.OperationalError(
-                        'a process of an earlier version uses it; end that one'
+                        'a process of an earlier version uses it; stop that process'
                     )
                 locks.callback(os.close, lock)
             with _transaction(database, write=True) as rows:
@@ -354,7 +354,7 @@ class Catalogue:
                 if not _is_damage(failure):
                     raise
                 return ''
-        return f'{self._path} was damaged; its indexes are rebuilt'
+        return f'{self._path} was damaged; its indexes were rebuilt'
 
     def _may_rebuild(self) -> bool:
         """Take the one chance to rebuild the indexes; False if it is taken."""

@@ -226,19 +226,19 @@ class OutboxFeeder:
         """Refuse an outbox that is not the one that chips have gone into; it may be unmounted."""
         expected, folder = self._spool.outbox(), self._outbox.folder
         if expected and not folder.exists():
-            raise SpoolError(f'{folder} is missing; is it mounted? Make it if it is to be new')
+            raise SpoolError(f'{folder} is missing; is it mounted? To begin a new one, create it')
         token = self._outbox.token()
         self._outbox.lock()
         if token == expected:
             return
         if expected and (waiting := len(self._spool.ids(ChipState.RELEASED))):
             raise SpoolError(
-                f'{folder} is not the outbox into which {waiting} chips were released that have '
-                'not been removed yet; is it mounted? If that one is lost: obbhbb spool PATH '
+                f'{folder} is not the outbox that has {waiting} released chips which the bus has '
+                'not removed; is it mounted? If that outbox is lost for good: obbhbb spool PATH '
                 'forget-outbox'
             )
         if expected:
-            self._on_trouble(f'{folder} is another outbox than before; is it mounted?')
+            self._on_trouble(f'{folder} is not the same outbox as before; is it mounted?')
         self._spool.set_outbox(token)
 
     def _record(self) -> None:

@@ -113,8 +113,8 @@ class ListFeeder:
         if self._clock() >= self._retry_at:
             self._retry_at = self._clock() + _RETRY
             self._on_trouble(
-                f'a ship list waits that {max_size:.0f} bytes cannot hold: see budget.burst and '
-                'outbox.max_bytes'
+                f'a ship list waits, but not one of its ships fits into {max_size:.0f} bytes: see '
+                'budget.burst and outbox.max_bytes'
             )
         return None
 

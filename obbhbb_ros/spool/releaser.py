@@ -207,8 +207,8 @@ class SpoolReleaser(SpoolAccess):
                 else:
                     books.count('evicted.damaged', 1)
                     self._on_trouble(
-                        f'what the spool holds of {chip_id} is damaged: it left the outbox, but '
-                        'does not count as delivered'
+                        f'the record of {chip_id} in the spool is damaged: the chip left the '
+                        'outbox, but does not count as delivered'
                     )
 
     def _on_open(self, rows: sqlite3.Cursor) -> None:

@@ -136,7 +136,7 @@ class IdWatch:
             yield IdDoubt(
                 'ids_doubtful.row_numbers',
                 len(ids),
-                f'the ids of the last {self._row_numbered} messages are numbers of rows, so they '
+                f'the ids of the last {self._row_numbered} messages are row numbers, so they '
                 f'name no ships: {_ADVICE}',
             )
 

@@ -382,7 +382,7 @@ def test_an_outbox_that_was_replaced_delivers_nothing(chain: Chain) -> None:
     aside = chain.outbox.with_name('unmounted')
     chain.outbox.rename(aside)
     chain.outbox.mkdir()
-    node.wait_for_log('is not the outbox into which 1 chips were released')
+    node.wait_for_log('is not the outbox that has 1 released chips')
     chain.store([0.5])
     counts = node.counts()
     assert (counts['spool.in_outbox'], counts['spool.delivered']) == (1, 0)
@@ -478,8 +478,8 @@ def test_without_a_folder_it_does_not_start(site: Site, tmp_path: Path, missing:
     ('folders', 'reason'),
     [
         ({'spool.path': 'spool'}, 'spool.path must be an absolute path, not spool'),
-        ({'outbox.path': '/a/outbox', 'spool.path': '/a/outbox/'}, 'must be apart'),
-        ({'outbox.path': '/a', 'spool.path': '/a/0'}, 'must be apart'),
+        ({'outbox.path': '/a/outbox', 'spool.path': '/a/outbox/'}, 'must be separate folders'),
+        ({'outbox.path': '/a', 'spool.path': '/a/0'}, 'must be separate folders'),
     ],
 )
 def test_folders_that_cannot_be_meant_are_refused(

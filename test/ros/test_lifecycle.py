@@ -94,7 +94,7 @@ def test_without_autostart_it_has_no_topics_but_diagnostics(managed: Converter) 
 WAITING = {
     'unconfigured': 'unconfigured, waits for a lifecycle manager to configure it',
     'inactive': 'inactive, waits for a lifecycle manager to activate it',
-    'finalized': 'finalized, has to be started anew',
+    'finalized': 'finalized, restart its process',
 }
 
 

@@ -297,7 +297,7 @@ def test_an_image_that_shrinks_during_a_pass_is_reported(play: Play, put: Put) -
     Picture.new('L', (40, 50)).save(file)
     player.peer.collect(Detection2DArray, 'detections')
     assert player.finish() == 0
-    assert f'no image: {file}: it has not the size' in player.log
+    assert f'no image: {file}: its size is not the one' in player.log
     assert len(player.infos) == len(player.images) + 3 == 4
     assert {image.height for image in player.images} == {30}
 

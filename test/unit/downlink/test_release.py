@@ -743,7 +743,7 @@ def test_an_outbox_without_chips_may_be_replaced(tmp_path) -> None:
     ground.clock.now += 100.0
     store(ground.writer, [0.9])
     ground.steps(2, 2.0)
-    assert 'outbox is missing; is it mounted? Make it if it is to be new' in ground.troubles[-1]
+    assert 'outbox is missing; is it mounted? To begin a new one, create it' in ground.troubles[-1]
     assert not (tmp_path / 'outbox').exists()
     (tmp_path / 'outbox').mkdir()
     ground.steps(2, 2.0)
@@ -843,7 +843,7 @@ def test_another_outbox_is_reported_though_the_first_was_empty(ground) -> None:
     ground.restart()
     ground.steps()
     assert ground.troubles == [
-        f'{ground.folder}/outbox is another outbox than before; is it mounted?'
+        f'{ground.folder}/outbox is not the same outbox as before; is it mounted?'
     ]
 
 

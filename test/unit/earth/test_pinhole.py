@@ -135,7 +135,7 @@ def test_the_axes_of_pixels_may_be_skew() -> None:
         (([*K[:8], 0.0],), 'no camera'),
         ((K, [np.inf]), 'not finite'),
         ((K, [1e10]), '1e9'),
-        ((K, [0.1], 'kannala_brandt'), 'plumb_bob, rational_polynomial, equidistant are known'),
+        ((K, [0.1], 'kannala_brandt'), 'supported are plumb_bob, rational_polynomial, equidistant'),
         ((K, [0.0] * 8 + [0.1], 'rational_polynomial'), '8 coefficients of rational_polynomial'),
         ((K, [], '', (np.nan, 0)), 'window'),
     ],

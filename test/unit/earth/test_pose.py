@@ -142,8 +142,8 @@ def test_the_uncertainty_of_a_vehicle_is_turned_to_the_earth() -> None:
     ('numbers', 'status', 'reason'),
     [
         ((54.0, 12.0, 9.0), -1, 'no fix'),
-        ((91.0, 12.0, 9.0), 0, 'no degrees'),
-        ((54.0, np.nan, 9.0), 0, 'no degrees'),
+        ((91.0, 12.0, 9.0), 0, 'not degrees'),
+        ((54.0, np.nan, 9.0), 0, 'not degrees'),
         ((54.0, 12.0, np.nan), 0, 'position'),
     ],
 )

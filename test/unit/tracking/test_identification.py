@@ -142,7 +142,7 @@ def test_stamps_that_do_not_grow_are_reported() -> None:
     for number in (1, 0):
         outcome, _ = tracker.give(frame(number, *boxes_of(*FLEET)))
         assert outcome.counts['stamps_not_later'] == 1
-        assert 'which have to grow' in outcome.complaints['stamps']
+        assert 'which must increase' in outcome.complaints['stamps']
         assert outcome.counts['ids_assigned'] == 3
     outcome, _ = tracker.give(frame(2, *boxes_of(*FLEET)))
     assert 'stamps_not_later' not in outcome.counts
