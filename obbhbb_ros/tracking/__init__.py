@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which ship is it: ids for the oriented boxes of a camera that moves; NumPy alone."""
+"""Tell ships apart: ids for the oriented boxes of a camera that moves; needs only NumPy."""

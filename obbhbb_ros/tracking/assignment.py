@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which box is which object, once it is known how the image moved."""
+"""Pair boxes with objects, once the motion of the image is known."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ from obbhbb_ros.tracking.sightings import depth
 Indices = NDArray[np.intp]
 
 GATE = 4.0
-"""Standard deviations within which a box may be an object."""
+"""A box may be an object within this many standard deviations."""
 LOOSE = 3.0
-"""Times the gate, for a box and an object with nobody else within twice that."""
+"""Factor on the gate if a box and an object have nothing else within twice that distance."""
 
-# Logarithm of the ratio of two lengths, and angle between two axes, of one ship: four standard
-# deviations of a detector with 5 % and 3 degrees.
+# How much two views of one ship may differ: the logarithm of the ratio of their lengths, and the
+# angle between their axes. Four standard deviations of a detector with 5 % and 3 degrees.
 _LIKE_LENGTH = 0.2
 _LIKE_ANGLE = 0.21
-# Error of the length of a ship, as a fraction; so wrong is the middle of one that the border cuts.
+# Error of the length of a ship, as a fraction. The middle of a ship at the border is as wrong.
 _LENGTH_ERROR = 0.05
-# Twice a logarithm of likelihood: an object that was seen once may be a false alarm.
+# Twice a logarithm of likelihood: an object seen only once may be a false alarm.
 _SEEN_ONCE = 2.0
-# Objects further outside, in sides of the image, are not looked for.
+# The search ignores objects further outside the image than this, as a fraction of its sides.
 _MARGIN = 0.2
-# Ship lengths: no ship is looked for beyond.
+# The search ends at this distance, ship lengths.
 _FARTHEST = 8.0
 _MAX_PAIRS = 200_000
 
 
 class Pairs(NamedTuple):
     """
-    Boxes and the objects that they are.
+    Boxes and the objects that they show.
 
     Attributes
     ----------
     boxes, objects : ndarray of int, shape (M,)
         Their rows.
     off : ndarray of complex, shape (M,)
-        How far the boxes are from where the objects were expected, pixels.
+        Distance of the boxes from where the objects were expected, pixels.
     """
 
     boxes: Indices
@@ -96,13 +96,12 @@ def assigned(objects: Rows, boxes: Rows, size: complex, loose: float = 1.0) -> P
     size : complex
         Width and height of the image, pixels.
     loose : float
-        A box and an object that have only each other within so many gates may pair within half as
-        many.
+        A box and an object with nothing else within this many gates may pair within half as many.
 
     Returns
     -------
     Pairs
-        No box and no object is in two of them.
+        Each box and each object is in at most one pair.
     """
     rows = np.flatnonzero(are_inside(objects['place'], size, _MARGIN))
     known = objects[rows]
@@ -120,16 +119,16 @@ def assigned(objects: Rows, boxes: Rows, size: complex, loose: float = 1.0) -> P
 
 def anchors(known: Rows, boxes: Rows) -> Places:
     """
-    Return by which end boxes and their objects are compared; 0 if by their middles.
+    Return the end at which to compare boxes and objects; 0 to compare their middles.
 
-    Of a ship that the border cuts, it is the end that is in the image.
+    If the border cuts a ship, this is the end that is in the image.
     """
     inner: Places = np.where(boxes['whole'], known['inner'], boxes['inner'])
     return inner
 
 
 def anchored_variance(known: Rows, boxes: Rows, inner: Places) -> FloatArray:
-    """Return the variance of how far boxes are from their objects, px²."""
+    """Return the variance of the distance between boxes and their objects, px²."""
     length = np.maximum(known['length'], boxes['length'])
     of_length = np.where(inner != 0, _LENGTH_ERROR * length, 0.0)
     variance: FloatArray = known['place_var'] + boxes['place_var'] + of_length**2
@@ -146,7 +145,7 @@ def _candidates(known: Rows, boxes: Rows, size: complex, deviations: float) -> _
     keep, by_end = pairs.within(deviations), inner != 0
     cut = by_end | ~box['whole']
     if cut.any():
-        # A ship that enters is none that was last seen elsewhere, or that has left by itself.
+        # A ship that enters is not one that was last seen elsewhere, or that left on its own.
         length = np.maximum(box['length'], one['length'])
         end = one['place'] + inner * one['length'] / 2
         keep &= ~cut | ((np.abs(off) < length) & (~by_end | (depth(end, size) > 0)))
@@ -156,7 +155,7 @@ def _candidates(known: Rows, boxes: Rows, size: complex, deviations: float) -> _
 def _in_reach(known: Rows, boxes: Rows, deviations: float) -> tuple[Indices, Indices]:
     """List pairs of box and object that may be near enough along x, and along y."""
     lists: list[tuple[Indices, Indices]] = []
-    # Those at the border by themselves: they reach further.
+    # Boxes at the border form a group of their own: they reach further.
     for is_whole in (True, False):
         group = np.flatnonzero(boxes['whole'] == is_whole)
         group = group[np.argsort(boxes['place'][group].real, kind='stable')]
@@ -165,7 +164,7 @@ def _in_reach(known: Rows, boxes: Rows, deviations: float) -> tuple[Indices, Ind
         by_end = ~known['whole'] if is_whole else np.ones(len(known), np.bool_)
         length = known['length'] * by_end
         reach = deviations * np.sqrt(known['place_var'] + widest + (_LENGTH_ERROR * length) ** 2)
-        # Wide gates would pair everybody with everybody.
+        # Wide gates would pair every box with every object.
         farthest = _FARTHEST * known['length']
         if not is_whole:
             farthest = np.maximum(known['length'], boxes['length'][group].max(initial=0.0))
@@ -180,11 +179,11 @@ def _in_reach(known: Rows, boxes: Rows, deviations: float) -> tuple[Indices, Ind
 
 
 def _likeness(known: Rows, boxes: Rows) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Tell which pairs may be one ship by their shape, and twice their -log likelihood by it."""
+    """Tell which pairs may be one ship by their shape, and give twice their -log likelihood."""
     longer = np.log(boxes['length'] / known['length']) / _LIKE_LENGTH
     turned = axis_turn(boxes['angle'] - known['angle']) / _LIKE_ANGLE
     whole = known['whole'] & boxes['whole']
-    # What is seen of a ship at the border is no longer than the ship, and grows as it comes in.
+    # The visible part of a ship at the border is not longer than the ship, and grows as it enters.
     like: NDArray[np.bool_] = (
         (np.abs(turned) < np.where(whole, 2.0, 1.2))
         & (longer < np.where(known['whole'], 2.0, 3.0))
@@ -195,7 +194,7 @@ def _likeness(known: Rows, boxes: Rows) -> tuple[NDArray[np.bool_], FloatArray]:
 
 
 def alike(old: Rows, new: Rows) -> tuple[Indices, Indices]:
-    """List pairs, of rows of old and new ones, that may be one ship by their shape."""
+    """List the pairs of old and new rows that may be one ship by their shape."""
     order = np.argsort(old['length'], kind='stable')
     lengths = old['length'][order]
     first, last = (
@@ -212,7 +211,7 @@ def index_pairs(first: Indices, last: Indices, max_pairs: int) -> tuple[Indices,
     """
     List the pairs (i, j) with first[i] <= j < last[i].
 
-    Of too many, those in the middle of the ranges are listed, the same number for every i.
+    If there are too many, list those in the middle of the ranges, the same number for every i.
 
     Examples
     --------
@@ -229,7 +228,7 @@ def index_pairs(first: Indices, last: Indices, max_pairs: int) -> tuple[Indices,
 
 def one_to_one(i: Sequence[int] | Indices, j: Sequence[int] | Indices, cost: FloatArray) -> Indices:
     """
-    Choose pairs (i, j), the cheapest first, so that nobody is in two.
+    Choose pairs (i, j), the cheapest first, so that no i and no j is in two of them.
 
     Examples
     --------

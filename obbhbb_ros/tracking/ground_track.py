@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 __all__ = ['GroundTrack', 'Velocity']
 
-# Standard deviations from which a speed is told apart from none.
+# A speed is significant from this many standard deviations on.
 _SIGNIFICANT = 3.0
-# No ship is faster, m/s: two ships share an id.
+# No ship is faster than this, m/s: two ships must share an id.
 _MAX_SPEED = 50.0
 _MIN_VIEWS = 3
-# No place is known better, metres.
+# No place is known better than this, metres.
 _MIN_SIGMA = 0.1
 
 
@@ -65,9 +65,9 @@ class GroundTrack:
         Parameters
         ----------
         time : float
-            Seconds since any moment near.
+            Seconds since any moment close to it.
         east, north : float
-            Metres from any place near.
+            Metres from any place close to it.
         variance : float or None
             Of the place in each direction, m²; None if it is not known.
         """
@@ -89,15 +89,15 @@ class GroundTrack:
         """
         Fit speed and course.
 
-        The uncertainty is that of the places, or that of their distances from the line, whichever
-        is larger.
+        The uncertainty comes from that of the places, or from their distances to the line,
+        whichever is larger.
 
         Returns
         -------
         Velocity or None
-            None with fewer than three places, if the ship may lie still, or if it would be faster
-            than any ship. Of ships that lie still 1 % get a speed: those beyond three standard
-            deviations, or more if these come from few places of unknown uncertainty.
+            None if there are fewer than three places, if the ship may lie still, or if it would be
+            faster than any ship. 1 % of the ships that lie still get a speed: those beyond three
+            standard deviations, or more if few places of unknown uncertainty give the deviation.
         """
         if self.views < _MIN_VIEWS:
             return None
@@ -117,17 +117,17 @@ class GroundTrack:
 
     def _limit(self) -> float:
         """
-        Return how many standard deviations are significant, if these come from the residuals.
+        Return how many standard deviations are significant if they come from the residuals.
 
-        Half the square of their number has the F distribution of 2 and n degrees of freedom, n
-        those of the residuals, if the ship lies still; it is above x with a probability of
-        (1 + 2 x / n)^(-n/2), which here is that of three known standard deviations, exp(-9/2).
+        If the ship lies still, half the square of this number has the F distribution with 2 and n
+        degrees of freedom, where n are those of the residuals. It exceeds x with a probability of
+        (1 + 2 x / n)^(-n/2). This is set to that of three known standard deviations, exp(-9/2).
         """
         freedom = 2 * self.views - 4
         return math.sqrt(freedom * math.expm1(_SIGNIFICANT**2 / freedom))
 
     def _residual(self, east: float, north: float) -> float:
-        """Return the weighted variance of the places about the line, of a direction."""
+        """Return the weighted variance of the places about the line, in one direction."""
         total = 0.0
         for squares, placed, timed, speed in (
             (self._ee, self._e, self._te, east),

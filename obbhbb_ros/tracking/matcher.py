@@ -2,9 +2,9 @@
 """
 Numbers for ships, from the boxes of a camera that moves.
 
-A frame may lie ten ship lengths beside the last one. So it is guessed first how the image moved,
-until most boxes meet an object that way; then boxes and objects are paired within gates that grow
-with the time for which an object was not seen.
+The image may move by ten ship lengths from one frame to the next. So the matcher first guesses how
+it moved, until most boxes meet an object. Then it pairs boxes and objects within gates, which grow
+while no frame shows the object.
 """
 
 from __future__ import annotations
@@ -38,44 +38,44 @@ from obbhbb_ros.tracking.sightings import middle_of
 from obbhbb_ros.tracking.sightings import sightings
 
 MAX_OBJECTS = 20_000
-"""Objects remembered, those seen last."""
+"""Maximum number of objects to remember; the ones seen last stay."""
 MAX_BOXES = 5000
-"""Boxes of a frame that are followed, the longest."""
+"""Maximum number of boxes to follow in a frame, the longest ones."""
 MAX_PIXELS = 1e7
-"""Boxes further out, or longer, are not followed."""
+"""The matcher does not follow boxes further out, or longer, than this."""
 
 _MIN_LENGTH = 1e-2
-# By how much the speed of a ship changes within a second, ship lengths per second.
+# Change of the speed of a ship within a second, ship lengths per second.
 _UNREST = 0.05
-# Standard deviation of a place, pixels: until it is measured, and its limits.
+# Standard deviation of a place, pixels: before it is measured, and its limits.
 _NOISE = 2.0
 _NOISES = (1.0, 8.0)
 # The median of the modulus of a complex normal number, in standard deviations.
 _MEDIAN = 1.18
-# The longest boxes vote; that bounds the pairs.
+# Only the longest boxes vote, which bounds the number of pairs.
 _VOTERS = 200
 _LIKE_SHARE = 0.1
-# Share of the boxes that must meet an object, or other motions are tried.
+# The matcher tries other motions until this share of the boxes meets an object.
 _EXPLAINED = 0.6
-# The camera's motion: for so many seconds it is remembered, and by so much it changes a frame.
+# The camera's motion: how many seconds it is remembered, and how much it changes in a frame.
 _DRIFT_MEMORY = 3.0
 _DRIFT_ERROR = 0.1
 _MIN_COMMON = 3
-# A steady ship: seen so often, whole; noise is measured by so many of them.
+# A steady ship was seen whole this often; it takes this many steady ships to measure the noise.
 _MIN_HITS = 3
 _MIN_STEADY = 5
 # Weight of a new length or angle.
 _BLEND = 0.3
-# Until it is measured by how much the pose is off from image to image, pixels.
+# Error of the pose from image to image before it is measured, pixels.
 _POSE_ERROR = 20.0
-# By so much more or less the next image does not show anything.
+# The scale of the next image does not change by more than this factor.
 _MAX_ZOOM = 1e3
-# Pixels over which turn and scale of the image are taken.
+# Distance over which turn and scale of the image are measured, pixels.
 _ARM = 100.0
 
 
 class _Guess(NamedTuple):
-    """A guess how the image moved; `by` says how it was made."""
+    """A guess how the image moved; `by` names the method."""
 
     by: str
     motion: Motion
@@ -88,7 +88,7 @@ class ShipMatcher:
     Parameters
     ----------
     memory : float
-        For how long a ship that is not seen is remembered, seconds.
+        How long to remember a ship that no frame shows, seconds.
 
     Examples
     --------
@@ -105,9 +105,9 @@ class ShipMatcher:
         self.memory = memory
         self._objects: Rows = np.zeros(0, FIELDS)
         self._next, self._time, self._noise = 0, -math.inf, _NOISE
-        # By how much the pose is off from image to image, pixels.
+        # Error of the pose from image to image, pixels.
         self._pose_error = _POSE_ERROR
-        # Of the middle of the image, px/s.
+        # Motion of the middle of the image, px/s.
         self._drift: complex | None = None
 
     @property
@@ -138,13 +138,14 @@ class ShipMatcher:
         size : complex
             Width and height of the image, pixels.
         carry : callable, optional
-            Tells by the pose of the camera how the image moved since the last call.
+            Says, from the pose of the camera, how the image moved since the last call.
 
         Returns
         -------
         ndarray of int, shape (N,)
             Numbers from 0, the same for boxes of one ship. They do not depend on the order of the
-            boxes. -1 for boxes that are not followed: of no size, not finite, or too many.
+            boxes. -1 for boxes that are not followed: they have no size, are not finite, or there
+            are too many.
         """
         numbers = np.full(len(place), -1, np.int64)
         followed = _followed(place, length, angle)
@@ -174,7 +175,7 @@ class ShipMatcher:
         objects = motion.of(objects)
         if carried is not None:
             if is_measured:
-                # The largest of late, so that a lucky image does not narrow the gates.
+                # The largest recent one, so that a lucky image does not narrow the gates.
                 self._pose_error = max(abs(motion.shift), 0.9 * self._pose_error)
             motion = motion.after(carried)
         if is_measured and 0.0 < abs(step) < math.inf:
@@ -201,7 +202,7 @@ class ShipMatcher:
         step = time - self._time
         if abs(step) > _DRIFT_MEMORY:
             self._drift = None
-        # A speed that may be none is none: it would lead far away in time.
+        # A speed that is not significant counts as 0: it would lead far away in time.
         is_under_way = np.abs(objects['speed']) ** 2 > 9 * objects['speed_var']
         objects['place'] += np.where(is_under_way, objects['speed'] * step, 0.0)
         unrest = (_UNREST * objects['length']) ** 2 * abs(step)
@@ -209,7 +210,7 @@ class ShipMatcher:
         objects['place_var'] += unrest * step**2 / 3
         objects['shared_var'] += step * objects['speed_var'] + unrest * step / 2
         objects['speed_var'] += unrest
-        # Nobody is expected more than a ship length off.
+        # No ship is expected to be off by more than its length.
         spread = np.sqrt(np.maximum(objects['place_var'], 0.0))
         cut = objects['length'] / np.maximum(objects['length'], spread)
         objects['place_var'] *= cut**2
@@ -224,11 +225,11 @@ class ShipMatcher:
     def _motion(
         self, objects: Rows, boxes: Rows, prior: Motion, size: complex
     ) -> tuple[Motion, bool]:
-        """Find how the image moved, and whether that is measured."""
+        """Find out how the image moved, and whether that was measured."""
         if not len(objects) or not len(boxes):
             return prior, False
         guess, pairs = self._best_guess(objects, boxes, prior, size)
-        # Ships at the border hardly measure it.
+        # Ships at the border say little about it.
         steady = boxes['whole'][pairs.boxes] & objects['whole'][pairs.objects]
         rows = Pairs(*(column[steady] for column in pairs)) if steady.any() else pairs
         if not len(rows.off):
@@ -256,7 +257,7 @@ class ShipMatcher:
             moved = guess.motion.of(objects)
             pairs = assigned(moved, boxes, size)
             inside = are_inside(moved['place'], size)
-            # Chance alone gives some: wide gates do not make a guess better.
+            # Some meet by chance: wide gates do not make a guess better.
             gates = math.pi * GATE**2 * (moved['place_var'][inside] + self._noise**2)
             chance = _LIKE_SHARE * len(boxes) / (size.real * size.imag) * gates.sum()
             met = len(pairs.off) - chance
@@ -269,7 +270,7 @@ class ShipMatcher:
     def _guesses(
         self, objects: Rows, boxes: Rows, prior: Motion, size: complex
     ) -> Iterator[_Guess]:
-        """Guess how the image moved: as before, by vote, with a turn, by all that is remembered."""
+        """Guess how the image moved: as before, by vote, with a turn, from all objects."""
         area, noise = size.real * size.imag, self._noise
         is_steady = prior.error <= 3 * noise
         if is_steady:
@@ -310,7 +311,7 @@ class ShipMatcher:
         known['shared_var'] *= 1 - gain
         known['place_var'] *= 1 - gain
         length = _new_lengths(known, boxes)
-        # The end that is seen stays where it is.
+        # The visible end stays where it is.
         known['place'] -= inner * (length - known['length']) / 2
         known['length'] = length
         known['whole'] |= boxes['whole']
@@ -321,7 +322,7 @@ class ShipMatcher:
         objects[pairs.objects] = known
 
     def _measure_noise(self, known: Rows, boxes: Rows, deviations: FloatArray) -> None:
-        """Measure by steady ships how far places are off."""
+        """Measure the error of places with steady ships."""
         steady = (known['hits'] >= _MIN_HITS) & boxes['whole']
         if steady.sum() >= _MIN_STEADY:
             measured = self._noise * float(np.median(deviations[steady])) / _MEDIAN
@@ -340,7 +341,7 @@ def motion_of(carry: Carry, middle: complex) -> Motion | None:
 
 
 def _carried(objects: Rows, carry: Carry, about_middle: Motion) -> Rows:
-    """Move objects as the pose tells; where that is unknown, as the middle of the image."""
+    """Move objects as the pose says; where that is unknown, like the middle of the image."""
     moved = about_middle.of(objects)
     middles: Places = objects['place']
     half = np.asarray(objects['length'] / 2 * np.exp(1j * objects['angle']), np.complex128)
@@ -361,7 +362,7 @@ def _carried(objects: Rows, carry: Carry, about_middle: Motion) -> Rows:
 
 
 def _followed(place: Places, length: FloatArray, angle: FloatArray) -> NDArray[np.intp]:
-    """Return the rows of the boxes that are followed, in an order that is that of their places."""
+    """Return the rows of the boxes to follow, in an order that depends only on the boxes."""
     with np.errstate(invalid='ignore', over='ignore'):
         usable = (np.abs(place) < MAX_PIXELS) & (length > _MIN_LENGTH) & (length < MAX_PIXELS)
     rows = np.flatnonzero(usable & np.isfinite(angle))
@@ -376,12 +377,12 @@ def _are_last(objects: Rows) -> NDArray[np.bool_]:
 
 
 def _longest(rows: Rows, count: int) -> Rows:
-    """Return the longest ones, the longest first."""
+    """Return the longest rows, the longest first."""
     return rows[np.argsort(-rows['length'], kind='stable')[:count]]
 
 
 def _new_lengths(known: Rows, boxes: Rows) -> FloatArray:
-    """Return the lengths of objects, corrected by their boxes: those of a whole ship count."""
+    """Return the lengths of objects, corrected by boxes that show the whole ship."""
     of_part = np.where(
         known['whole'], known['length'], np.maximum(known['length'], boxes['length'])
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the image moved between two frames, voted by the boxes that are alike in both."""
+"""How the image moved between two frames, by a vote of boxes that are alike in both."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from obbhbb_ros.tracking.sightings import Rows
 from obbhbb_ros.tracking.sightings import axis_turn
 from obbhbb_ros.tracking.sightings import middle_of
 
-# Side of the cells in which votes for a shift are counted, standard deviations of a place.
+# Side of the cells that count votes for a shift, standard deviations of a place.
 _CELL = 6.0
 _STAGGERED = (0.0, 0.5 + 0.5j, 0.5, 0.5j)
 # With more votes than this, one grid of cells is enough.
 _MANY = 3000
-# Probability that chance alone gives as many votes as are believed.
+# A vote is believed if the probability that chance alone gives as many votes is below this.
 _CHANCE = 1e-3
-# The longest boxes of which pairs vote for turn and scale; votes that are believed.
+# Pairs of the longest boxes vote for turn and scale; this many votes are believed.
 _PAIRED = 16
 _MIN_VOTES = 4
 _MAX_TURN = 0.35
 _MAX_SCALE = 0.2
-# Side of the cells in which those votes are counted; radians, and logarithm of the scale.
+# Side of the cells that count those votes; radians, and logarithm of the scale.
 _TURN_CELL = 0.015
-# Two boxes so near, in standard deviations of a place, tell nothing of the turn.
+# Two boxes this close, in standard deviations of a place, say nothing about the turn.
 _NEAR = 20.0
 _LENGTH_OF_PAIR = 0.4
 _ANGLE_OF_PAIR = 0.21
-# Boxes that measure a turn, and by so much a turn must fit better than none.
+# This many boxes measure a turn, and it must fit better than no turn by this factor.
 _MIN_TURN = 6
 _BETTER = 0.7
 
@@ -66,7 +66,7 @@ def voted_shift(
     near = np.flatnonzero(np.abs(shift - middle_of(_fullest(shift, cell))) < cell)
     middle = middle_of(shift[near])
     votes = len(one_to_one(i[near], j[near], np.abs(shift[near] - middle)))
-    # So many more than itself a pair has near it by chance. One of all pairs may have these votes.
+    # The number of other pairs that are near a pair by chance. Any of the pairs may have the votes.
     rate = len(shift) * cell**2 / min(4 * area / math.pi, (GATE * reach) ** 2)
     chance = math.log(len(shift)) + (votes - 1) * math.log(rate) - math.lgamma(votes)
     return middle if votes > 1 and chance < math.log(_CHANCE) else None
@@ -92,8 +92,8 @@ def voted_turn(old: Rows, new: Rows, noise: float) -> complex | None:
     """
     Return turn and scale on which most pairs of boxes agree; None if too few do.
 
-    The two boxes of a pair are far from each other, and are as long, and stand to the line between
-    them, as those of the other frame.
+    The two boxes of a pair are far apart. Their lengths, and their angles to the line between them,
+    are the same in both frames.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def fitted(
     turn : complex
         Turn and scale as far as they are known.
     has_turned : bool
-        Whether they are to be fitted; if not, they are only where that fits clearly better.
+        Whether to fit them; if not, they are fitted only where that is clearly better.
 
     Returns
     -------

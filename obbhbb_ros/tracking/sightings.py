@@ -3,8 +3,8 @@
 Boxes of a frame and remembered objects, as rows of one structured array.
 
 Places are complex numbers, x + iy in pixels, and stand for the middle of a ship. A motion of the
-image turns and scales by a complex factor, then shifts. A ship that the border cuts is known by the
-end that is in the image: its middle and its length are not seen.
+image turns and scales by a complex factor, then shifts. If the border cuts a ship, its middle and
+its length are not visible: the end that is in the image identifies it.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from numpy.typing import NDArray
 from obbhbb_ros.geometry.boxes import FloatArray
 
 Rows = NDArray[np.void]
-"""Boxes or objects, one a row, with the fields of `FIELDS`."""
+"""Boxes or objects, one per row, with the fields of `FIELDS`."""
 Places = NDArray[np.complex128]
 Carry: TypeAlias = Callable[[Places], Places]
-"""Where what the last image showed is in this one; NaN where that is not known."""
+"""Takes places in the last image, returns them in this one; NaN where that is not known."""
 
 FIELDS = np.dtype(
     [
         ('id', np.int64),
         ('place', np.complex128),
         ('speed', np.complex128),
-        # Variances of place and speed in each direction, and what the two have in common.
+        # Variances of place and speed in each direction, and their covariance.
         ('place_var', np.float64),
         ('shared_var', np.float64),
         ('speed_var', np.float64),
@@ -46,13 +46,13 @@ FIELDS = np.dtype(
 )
 """Number, px, px/s, px², px²/s, px²/s², px, rad, s, number, whether, unit vector."""
 
-# Standard deviation of a ship's speed before it is measured, ship lengths per second: 15 m/s of a
-# boat of 12 m are four of them. Of a part of a ship, that many times more.
+# Standard deviation of a ship's speed before it is measured, ship lengths per second: a boat of 12 m
+# at 15 m/s is four of them away. For a part of a ship it is larger by this factor.
 _SPEED = 0.3
 _SPEED_OF_PART = 3.0
-# An end so near the border, in ship lengths, may be where the border cuts the ship.
+# An end this close to the border, in ship lengths, may be where the border cuts the ship.
 _EDGE = 0.15
-# Ship lengths: error of the middle of a ship of which neither end is in the image.
+# Error of the middle of a ship with neither end in the image, ship lengths.
 _NO_END = 0.25
 
 
@@ -67,7 +67,7 @@ class Motion(NamedTuple):
     shift : complex
         Shift, pixels.
     error : float
-        Standard deviation of the places that it gives, pixels.
+        Standard deviation of the resulting places, pixels.
     """
 
     turn: complex
@@ -86,7 +86,7 @@ class Motion(NamedTuple):
         return moved
 
     def after(self, first: Motion) -> Motion:
-        """Return the motion that is another one first, then this one."""
+        """Return the motion that does another one first, then this one."""
         return Motion(
             self.turn * first.turn,
             self.turn * first.shift + self.shift,
@@ -137,7 +137,7 @@ def sightings(
 
 
 def depth(place: Places, size: complex) -> FloatArray:
-    """Return how far places are inside the image; negative outside it."""
+    """Return the depth of places inside the image; negative outside it."""
     x, y = place.real, place.imag
     deep: FloatArray = np.minimum(np.minimum(x, size.real - x), np.minimum(y, size.imag - y))
     return deep
@@ -163,5 +163,5 @@ def axis_turn(angle: Any) -> Any:
 
 
 def middle_of(values: Places) -> complex:
-    """Return the median of places, of x and y by themselves."""
+    """Return the median of places, separately for x and y."""
     return complex(np.median(values.real), np.median(values.imag))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ids of tracks: how ours are written, and ids of others that are none."""
+"""Ids of tracks: the form of our own, and ids of others that are not ids of tracks."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import NamedTuple
 __all__ = ['IdDoubt', 'IdWatch', 'is_tracker_id', 'new_session', 'repeated_ids', 'tracker_id']
 
 _TRACKER_ID = re.compile('[0-9a-f]{8}-[0-9]+')
-# Row numbers are reported after so many messages in a row, in which the number of detections has
-# fallen so often: tracks also begin as 0 to n - 1, but do not remain that where ships leave.
+# Row numbers are reported after this many messages in a row, during which the number of detections
+# has fallen this often: tracks also begin as 0 to n - 1, but do not stay that way when ships leave.
 _ROW_NUMBERED = 20
 _FALLS = 3
 _ADVICE = 'node ship_tracker with ids: assign gives ids that follow the ships'
@@ -22,7 +22,7 @@ _ADVICE = 'node ship_tracker with ids: assign gives ids that follow the ships'
 
 def new_session() -> str:
     """
-    Draw the first half of the ids of a tracker, so that they are unlike those of any other run.
+    Draw the first half of the ids of a tracker at random, so that no other run has the same ids.
 
     Examples
     --------
@@ -46,7 +46,7 @@ def tracker_id(session: str, number: int) -> str:
 
 def is_tracker_id(text: str) -> bool:
     """
-    Tell whether an id is one of `ship_tracker`, which holds a session already.
+    Tell whether an id comes from `ship_tracker`, and so has a session already.
 
     Examples
     --------
@@ -58,7 +58,7 @@ def is_tracker_id(text: str) -> bool:
 
 def repeated_ids(ids: Sequence[str]) -> frozenset[str]:
     """
-    List ids that several detections of one message have: they name no ship.
+    List the ids that several detections of one message share: they name no ship.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class IdDoubt(NamedTuple):
 
 class IdWatch:
     """
-    Notices ids that are no tracks: class names and constants, and row numbers.
+    Notices ids that are not those of tracks: class names, constants, and row numbers.
 
     Examples
     --------
@@ -114,7 +114,7 @@ class IdWatch:
 
     def note(self, ids: Sequence[str]) -> Iterator[IdDoubt]:
         """
-        Look at the ids of the next message, and list what is doubtful.
+        Look at the ids of the next message, and list doubts.
 
         Parameters
         ----------
