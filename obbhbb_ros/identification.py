@@ -75,7 +75,7 @@ class ShipIdentifier:
     Attributes
     ----------
     session : str
-        First half of the ids that it gives, drawn anew for each object of this class.
+        First half of the ids that it gives; every object of this class draws its own at random.
     """
 
     def __init__(
@@ -161,7 +161,7 @@ class ShipIdentifier:
             findings.append(_untracked(ids, numbers, passed_boxes.valid, detections.stamp))
             ids = self._filled(ids, numbers)
         if placed is not None:
-            # First, so that they are there when the chips are cut.
+            # First, so that they arrive before the chips are cut.
             _publish_places(placed, detections, ids, rows, outputs)
             findings.append(self._collected(placed, detections, boxes, ids, rows, image_size))
         outputs.tracked.publish(_with_ids(detections, own, ids, rows, settings))
@@ -241,14 +241,14 @@ class ShipIdentifier:
         return numbers
 
     def _carry(self, placed: PlacedShips | None) -> Carry | None:
-        """Tell how the image moved since the last one that was followed, if poses tell it."""
+        """Return how the image moved since the last one that was followed, if poses say so."""
         before, self._viewpoint = self._viewpoint, None if placed is None else placed.viewpoint
         if before is None or self._viewpoint is None:
             return None
         return partial(_carried, before, self._viewpoint)
 
     def _id_doubts(self, ids: Sequence[str]) -> Finding:
-        """Count ids that are no tracks, and complain of them."""
+        """Count and report ids that are not those of tracks."""
         doubts = [*self._watch.note(ids)]
         return (
             {doubt.key: doubt.detections for doubt in doubts},
@@ -299,7 +299,7 @@ def _image_boxes(
 
 
 def _carried(before: Viewpoint, after: Viewpoint, places: Places) -> Places:
-    """Tell where what the last image showed is in this one."""
+    """Carry places from the last image to this one."""
     x, y = before.pixels_in(after, np.stack((places.real, places.imag), axis=-1)).T
     carried: Places = x + 1j * y
     return carried
@@ -340,7 +340,7 @@ def _with_ids(
     if detections.polygons is not None:
         return detections.with_ids(ids, _boxes_of_polygons(detections, settings), rows)
     if ids == own:
-        # Ids that are not UTF-8 remain.
+        # This keeps ids that are not UTF-8.
         none = np.zeros(len(own), np.bool_)
         return detections.rewrite(np.zeros((len(own), 4)), none)
     return detections.with_ids(ids, rows=rows)

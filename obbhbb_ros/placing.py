@@ -52,11 +52,11 @@ class PlacedShips:
     placement : Placement
         Where they are; NaN where they have no place.
     viewpoint : Viewpoint or None
-        The camera of the image and its pose, if both are known and the same for all of its lines.
+        The camera of the image and its pose, if both are known and the same for all lines.
     pose : CameraPose, PoseSweep or None
-        Its pose, if that is known.
+        The pose of the camera, if that is known.
     age : float
-        Seconds between the image and the sample of the pose that is nearest to it; 0 without one.
+        Seconds between the image and the nearest sample of the pose; 0 without one.
     counts, complaints : dict
         By key of the diagnostics, and what went wrong, by kind.
     """

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-From pixels to places on Earth. NumPy and the oriented boxes alone.
+From pixels to places on Earth, with NumPy and oriented boxes only.
 
 Frames: the camera's *optical frame* has x to the right, y down and z forward in the image
 (REP-103); *earth* is ECEF, metres from the centre of the Earth (REP-105); *east-north-up* lies at a

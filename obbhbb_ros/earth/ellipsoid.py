@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 EQUATOR = 6378137.0
-"""Half the axis in the plane of the equator, metres."""
+"""Half the axis in the equatorial plane, metres."""
 _FLATTENING = 1.0 / 298.257223563
 POLE = EQUATOR * (1.0 - _FLATTENING)
 """Half the axis from pole to pole, metres."""
@@ -32,9 +32,9 @@ POLE = EQUATOR * (1.0 - _FLATTENING)
 _E2 = _FLATTENING * (2.0 - _FLATTENING)
 _SECOND_E2 = _E2 / (1.0 - _E2)
 
-# Near the centre of the Earth a latitude means nothing: several normals go through a point.
+# Near the centre of the Earth a latitude has no meaning: several normals go through a point.
 _MIN_RADIUS = 1000e3
-# Of the formula of Bowring: two leave an error of rounding alone.
+# Steps of the formula of Bowring: after two, only a rounding error is left.
 _ROUNDS = 2
 
 
@@ -103,7 +103,7 @@ def to_geodetic(points: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         from_axis = np.hypot(x, y)
         radius = np.hypot(from_axis, z)
         from_axis = np.where(radius > _MIN_RADIUS, from_axis, np.nan)
-        # Sine and cosine of the reduced latitude, but for their scale.
+        # Sine and cosine of the reduced latitude, up to a common factor.
         sin, cos = POLE * z * (1.0 + _SECOND_E2 * POLE / radius), EQUATOR * from_axis
         for _ in range(_ROUNDS):
             scale = np.hypot(sin, cos)
@@ -154,7 +154,7 @@ def first_hits(origins: ArrayLike, rays: ArrayLike, height: float = 0.0) -> Floa
     """
     Find where rays from outside first meet the surface at a height above the ellipsoid.
 
-    That surface is taken as the ellipsoid with axes longer by the height, which is off by at most
+    The surface is modelled as the ellipsoid with axes longer by the height, which is off by at most
     0.14 mm at a height of 100 m and 4 mm at 3 km. The distance is that of the point of the ray
     nearest to the centre, in coordinates in which the ellipsoid is a sphere, less half the chord.
 

@@ -25,12 +25,12 @@ __all__ = ['EquidistantLens', 'Lens', 'PolynomialLens', 'lens_of']
 
 MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
 _MAX_ROUNDS = 15
-# Newton's method begins beside the solution: by a table of radii, up to 84 degrees from the axis.
+# Newton's method starts close to the solution, from a table of radii up to 84 degrees off the axis.
 _SAMPLES = 256
 _WIDEST = 10.0
-# How far a point that was found may be off, at focal length 1: 1e-9 pixels at 100,000.
+# Maximum error of a solution at focal length 1: 1e-9 pixels at a focal length of 100,000.
 _TOLERANCE = 1e-14
-# Beyond this a coefficient is no calibration, and products of them would overflow.
+# No calibration has a larger coefficient, and products of larger ones would overflow.
 _MAX_COEFFICIENT = 1e9
 
 
@@ -160,7 +160,7 @@ class PolynomialLens:
         return rays
 
     def _straighten(self, x: FloatArray, y: FloatArray, points: FloatArray) -> None:
-        """Replace x and y, (N,), near by, with the points that are bent to `points`, or NaN."""
+        """Replace x and y, (N,), with the nearby points that the lens bends to `points`, or NaN."""
         allowed = _TOLERANCE * (1.0 + np.abs(points[0]) + np.abs(points[1]))
         for left in range(_MAX_ROUNDS, -1, -1):
             bent_x, bent_y, *jacobian = self._bent(x, y)
@@ -193,7 +193,7 @@ class PolynomialLens:
         xx, yy, xy = x * x, y * y, x * y
         s = xx + yy
         radial = ((k3 * s + k2) * s + k1) * s + 1.0
-        # That along x is x times it.
+        # The derivative along x is x times this.
         slope = (6.0 * k3 * s + 4.0 * k2) * s + 2.0 * k1
         if k4 or k5 or k6:
             below = 1.0 / (((k6 * s + k5) * s + k4) * s + 1.0)

@@ -14,7 +14,7 @@ from obbhbb_ros.geometry.boxes import FloatArray
 
 __all__ = ['Pinhole']
 
-# The centre of the first pixel is at 1/2 here, and at 0 where K comes from.
+# The centre of the first pixel is at 1/2 here, but at 0 in the convention of K.
 _HALF = 0.5
 
 
@@ -42,7 +42,7 @@ class Pinhole:
     Raises
     ------
     ValueError
-        If the camera is not calibrated (K is 0), K is of no camera, or the distortion is not known.
+        If the camera is not calibrated (K is 0), no camera has K, or the distortion is not known.
 
     Examples
     --------
@@ -78,7 +78,7 @@ class Pinhole:
         self._skew = skew
         self._lens = lens_of(model, d)
         self._binning = np.array([[max(value, 1)] for value in binning], np.float64)
-        # Of the optical axis, from the corner of the window.
+        # The optical axis, from the corner of the window.
         self._center = np.array([[cx + _HALF - offset[0]], [cy + _HALF - offset[1]]])
 
     def rays(self, pixels: ArrayLike) -> FloatArray:

@@ -185,7 +185,7 @@ def place(
     surface_height : float
         Height of the water above the ellipsoid, metres.
     min_elevation : float
-        How high the camera must stand above the ship's horizon, degrees.
+        How high the camera must stand above the horizon of a ship, degrees.
 
     Examples
     --------
@@ -249,11 +249,11 @@ def _on_axes(axes: FloatArray, vectors: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _reasons(boxes: OrientedBoxes, rays: FloatArray, above: bool) -> NDArray[np.uint8]:
-    """Give the reasons, (N,), that are known before a ray, (4 N, 3), meets the Earth."""
+    """Give the reasons, (N,), that are known before rays, (4 N, 3), meet the Earth."""
     unplaced = np.zeros(len(boxes), np.uint8)
     if not above:
         unplaced[:] = Unplaced.BELOW_SURFACE
-    # A ray is finite, or none of its components is.
+    # Either all components of a ray are finite, or none is.
     unplaced[~np.isfinite(rays[:, 2]).reshape(4, -1).all(axis=0)] = Unplaced.NO_RAY
     unplaced[~boxes.valid] = Unplaced.NO_BOX
     return unplaced

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the camera is and how it looks: from the fields of messages, and between two of them."""
+"""Where the camera is and where it looks: from the fields of messages, and between two of them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from obbhbb_ros.geometry.boxes import FloatArray
 
 __all__ = ['Attitude', 'CameraPose', 'Fix', 'PoseError']
 
-# Beyond it, ten times the distance of the Moon, a position is no number of metres.
+# Ten times the distance of the Moon: a larger number is not a position in metres.
 _MAX_DISTANCE = 4e9
 _NO_FIX = -1
 _UNKNOWN = 0

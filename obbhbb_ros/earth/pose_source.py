@@ -40,10 +40,10 @@ class PoseAt(NamedTuple):
 
 
 class PoseSource(Protocol):
-    """What knows the pose of the camera."""
+    """Knows the pose of the camera."""
 
     def has_reached(self, stamp: Stamp) -> bool:
-        """Tell whether all has come that the pose at a stamp needs, so that waiting is over."""
+        """Tell whether everything has come that the pose at a stamp needs, so that waiting ends."""
 
     def at(self, stamp: Stamp, max_age: float, mount: FloatArray) -> PoseAt | None:
         """
@@ -60,7 +60,7 @@ class PoseSource(Protocol):
         """
 
     def why_not(self, stamp: Stamp) -> str:
-        """Say how far the samples are from a stamp at which there is no pose."""
+        """Say how far the samples are from a stamp that has no pose."""
 
     def clear(self) -> None:
         """Forget all samples."""
@@ -91,7 +91,7 @@ class CameraPoses:
         Raises
         ------
         PoseError
-            If it is not in frame `earth`, or no pose.
+            If it is not in frame `earth`, or not a pose.
         """
         if pose.frame_id.lstrip('/') != EARTH:
             raise PoseError(f"it is in frame '{pose.frame_id}', not '{EARTH}'")
@@ -125,7 +125,7 @@ class VehiclePoses:
         self._fixes, self._attitudes = SampleTrack[Fix](), SampleTrack[Attitude]()
 
     def add_fix(self, fix: WireFix) -> None:
-        """Add a place; PoseError if it is none."""
+        """Add a place; PoseError if it is not one."""
         self._fixes.add(
             fix.stamp,
             Fix.from_message(
@@ -137,7 +137,7 @@ class VehiclePoses:
         )
 
     def add_attitude(self, attitude: WireAttitude) -> None:
-        """Add an attitude; PoseError if it is none."""
+        """Add an attitude; PoseError if it is not one."""
         self._attitudes.add(
             attitude.stamp, Attitude.from_message(attitude.orientation, attitude.covariance)
         )

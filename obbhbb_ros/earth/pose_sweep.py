@@ -15,8 +15,8 @@ from obbhbb_ros.geometry.boxes import FloatArray
 
 __all__ = ['PoseSweep', 'swept_pose']
 
-# Seconds between two poses that are joined by a line, and the maximum number of poses. A second in
-# orbit leaves the line by 1 m, a tenth by 1 cm.
+# Seconds between two poses that a line joins, and the maximum number of poses. In orbit the path
+# leaves such a line by 1 m in a second, and by 1 cm in a tenth of it.
 _SPACING = 0.1
 _MAX_POSES = 64
 
@@ -26,7 +26,7 @@ class PoseSweep:
     """
     The poses of a camera from the first line of an image to the last one.
 
-    It takes the part of a `CameraPose` for a pushbroom camera or a rolling shutter. Make it with
+    It replaces a `CameraPose` for a pushbroom camera or a rolling shutter. Make it with
     `swept_pose`.
 
     Attributes
@@ -72,14 +72,14 @@ class PoseSweep:
         before, part = self._steps(lines)
         attitudes = np.array([pose.attitude for pose in self.poses])
         first, second = attitudes[before], attitudes[before + 1]
-        # A quaternion and its negative are the same attitude; between near ones a line is good.
+        # A quaternion and its negative are the same attitude; between close ones a line is enough.
         second = np.where((first * second).sum(axis=1, keepdims=True) < 0.0, -second, second)
         mixed = first + part[:, None] * (second - first)
         mixed /= np.sqrt((mixed * mixed).sum(axis=1, keepdims=True))
         return np.einsum('mij,mj->mi', matrices_of(mixed), rays)
 
     def _steps(self, lines: FloatArray) -> tuple[np.ndarray, FloatArray]:
-        """Find the poses before lines, and how far the lines are on their way to the next ones."""
+        """Find the pose before each line, and the fraction of the way to the next pose."""
         count = len(self.poses) - 1
         along = np.nan_to_num(lines / self.line_count, nan=0.0) * count
         before = np.clip(np.floor(along), 0, count - 1).astype(np.int64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples by stamp, and what they were at the stamp of an image."""
+"""Samples by stamp, and their values at the stamp of an image."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ['SampleAt', 'SampleTrack']
 
 # Ten seconds of an IMU at 200 Hz.
 _MAX_COUNT = 2000
-# Samples arrive in another order within a second; what is earlier is of a clock that was set back.
+# Samples may arrive out of order within a second; an earlier one means that the clock was set back.
 _MAX_DISORDER = 1_000_000_000
 
 
@@ -81,7 +81,7 @@ class SampleTrack(Generic[Sample]):
         """Forget all samples."""
         self._samples: dict[int, Sample] = {}
         self._stamps: list[int] = []
-        # In the order in which they came.
+        # In the order of their arrival.
         self._order: deque[int] = deque()
 
     def add(self, stamp: Stamp, sample: Sample) -> None:
@@ -123,8 +123,9 @@ class SampleTrack(Generic[Sample]):
         Returns
         -------
         SampleAt or None
-            That with the stamp, or what lies between the last one before it and the first one after
-            it; None if one of these is missing or too far away. Nothing is extrapolated.
+            The sample with the stamp, or an interpolation between the last one before it and the
+            first one after it; None if one of these is missing or too far away. There is no
+            extrapolation.
         """
         time = nanoseconds_of(stamp)
         if time in self._samples:

@@ -22,9 +22,10 @@ __all__ = [
     'unit_quaternion',
 ]
 
-# Single precision and a few products of it give 1 to a millionth; others are no rotation.
+# Single precision and a few products of it keep the length 1 to a millionth; other lengths are no
+# rotation.
 _MAX_OFF = 0.01
-# The cosine of half a turn, from which on the shorter arc is as good as straight.
+# Cosine of half a turn; above it, the shorter arc is practically straight.
 _STRAIGHT = 1.0 - 1e-9
 
 

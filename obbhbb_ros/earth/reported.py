@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Places of ships as `positions` reports them, and what the ground is told of one.
+Places of ships as `positions` reports them, and what the ground learns about them.
 
-A ship whose bow is not known lies as reported or the other way round. Its rotation about the
+A ship whose bow is not known lies as reported, or the opposite way round. Its rotation about the
 vertical then has π²/2 added to its variance, the second moment of an error that is 0 or π.
 """
 
@@ -63,7 +63,7 @@ def reported_covariances(ships: Placement) -> FloatArray:
 
 class ShipPlaces:
     """
-    What the ground is told of the places of the ships of an image.
+    What the ground learns about the places of the ships in an image.
 
     Parameters
     ----------
@@ -84,14 +84,14 @@ class ShipPlaces:
         self._positions = positions
         self._camera = None if camera is None else np.asarray(camera, np.float64)
         counts = Counter(positions.ids)
-        # An id that several ships have names none.
+        # An id that several ships share names none of them.
         self._rows = {
             text: row for row, text in enumerate(positions.ids) if text and counts[text] == 1
         }
 
     def facts(self, ship: str) -> dict[str, object] | None:
         """
-        List what the ground is told of the place of a ship.
+        List what the ground learns about the place of a ship.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class ShipPlaces:
 
 
 def _course(axes: FloatArray, attitude: FloatArray, covariance: FloatArray) -> tuple[float, bool]:
-    """Give the course of a ship, degrees, NaN if it has none; and if it may be the opposite one."""
+    """Give the course of a ship, degrees, NaN if it has none; and whether it may be opposite."""
     norm = math.hypot(*attitude.tolist())
     east, north, _ = axes @ matrix_of(attitude / norm)[:, 0]
     variance = axes[2] @ covariance[3:, 3:] @ axes[2]

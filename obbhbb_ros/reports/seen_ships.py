@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ships that were seen since the last list."""
+"""The ships seen since the last list."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from obbhbb_ros.tracking.ground_track import Velocity
 
 __all__ = ['ShipCollector']
 
-# Characters of an id or a class, so that a list of many ships can be read again.
+# Maximum characters of an id or a class, so that a list of many ships stays readable.
 _MAX_TEXT = 64
-# Degrees between the axis of a hull and its way, up to which a ship is taken to go ahead.
+# A ship counts as going ahead up to this angle between its axis and its track, degrees.
 _AHEAD = 30.0
 
 
 class ShipCollector:
     """
-    Remembers ships from image to image, until a list of them is taken.
+    Remembers ships from image to image, until somebody takes a list of them.
 
-    Place, course, length and width are those of the best view: of the whole ship, then with the
-    smallest uncertainty, or the camera highest above it. Class and score are the most certain
-    ones. A ship under way goes bow first: its track tells bow from stern.
+    Place, course, length and width come from the best view: a view of the whole ship, then one with
+    the smallest uncertainty, or with the camera highest above it. Class and score are the most
+    certain ones. A ship under way goes bow first: its track tells bow from stern.
     """
 
     def __init__(self) -> None:
@@ -119,7 +119,7 @@ class _SeenShip:
     def note(
         self, report: ShipReport, quality: tuple[float, ...], class_id: str, score: float | None
     ) -> None:
-        """Keep what a view tells better than those before."""
+        """Keep what a view says better than those before."""
         self._first, self._last = min(self._first, report.first), max(self._last, report.last)
         if self._best is None or quality > self._best[1]:
             self._best = report, quality
@@ -129,7 +129,7 @@ class _SeenShip:
             self._class_id = class_id
 
     def report(self) -> ShipReport:
-        """Say what is known of it."""
+        """Report what is known about it."""
         assert self._best is not None
         velocity = self._track.velocity()
         report = replace(
@@ -150,7 +150,7 @@ def _report(
     row: int,
     ellipse: tuple[float, float, float] | None,
 ) -> ShipReport:
-    """Say what a view tells of a ship."""
+    """Report what one view says about a ship."""
     return ShipReport(
         id=ship,
         latitude=float(places.latitude[row]),
@@ -174,7 +174,7 @@ def _known(ellipse: FloatArray | None) -> tuple[float, float, float] | None:
 
 
 def _under_way(report: ShipReport, velocity: Velocity) -> ShipReport:
-    """Add speed and course over ground, and let the course of the bow follow the way."""
+    """Add speed and course over ground, and turn the bow into the direction of travel."""
     moving = replace(
         report,
         speed=velocity.speed,

@@ -2,8 +2,8 @@
 """
 A ship list as gzipped GeoJSON (RFC 7946): a point for each ship.
 
-Numbers have as many decimals as they are worth: 0.1 m in place and length, 0.1° in course, 1 ms,
-two digits of an uncertainty. What is not known is left out.
+Numbers have only the decimals that they are worth: 0.1 m in place and length, 0.1° in course, 1 ms,
+two digits of an uncertainty. Unknown properties are left out.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ def ship_geojson(ships: Iterable[ShipReport]) -> bytes:
     Parameters
     ----------
     ships : iterable of ShipReport
-        The ships. What is not finite is left out; place, course and size have to be.
+        The ships. Values that are not finite are left out; place, course and size must be finite.
 
     Raises
     ------
     ShipListError
-        If it is larger than `MAX_LIST_BYTES`, and so could not be read.
+        If it is larger than `MAX_LIST_BYTES`, so that nobody could read it.
 
     Examples
     --------
@@ -238,14 +238,14 @@ def _size(value: Any) -> float:
 
 
 def _count(value: Any) -> int:
-    """Check a number of views; whoever adds up those of many lists stays below 2**63."""
+    """Check a number of views; the sum over many lists stays below 2**63."""
     if type(value) is not int or not 1 <= value <= 2**40:
         raise ValueError('not a number of views')
     return value
 
 
 def _text(value: Any) -> str:
-    """Check a text; others number their features."""
+    """Check a text; other tools number their features."""
     if type(value) is int:
         return str(value)
     if not isinstance(value, str):
@@ -271,5 +271,5 @@ def _time(value: Any) -> int:
     time = datetime.fromisoformat(_text(value).replace('Z', '+00:00'))
     if time.tzinfo is None:
         raise ValueError('without a time zone')
-    # OverflowError where UTC is in no year from 1 to 9999.
+    # OverflowError if UTC is not in a year from 1 to 9999.
     return (time.astimezone(timezone.utc) - _EPOCH) // _MICROSECOND * 1000

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading ship lists, whatever their format."""
+"""Read ship lists in any of their formats."""
 
 from __future__ import annotations
 

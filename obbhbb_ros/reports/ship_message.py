@@ -2,7 +2,7 @@
 """
 A ship list as a short binary message, 16 bytes a ship; `doc/ship_list.md` describes every bit.
 
-It is for links that carry some hundred bytes at a time: the most valuable ships that fit.
+It is for links that carry some hundred bytes at a time, and holds the most valuable ships that fit.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from obbhbb_ros.reports.ship_report import value_order
 __all__ = ['MESSAGE_MAGIC', 'MIN_MESSAGE_BYTES', 'ShipMessage', 'read_ship_message', 'ship_message']
 
 MESSAGE_MAGIC = b'SL\x01'
-"""How a message begins: two letters and the version."""
+"""The first bytes of a message: two letters and the version."""
 MIN_MESSAGE_BYTES = 120
-"""Every ship fits into a message of this size, and at least one."""
+"""A message of this size has room for at least one ship, whichever it is."""
 # Seconds of the latest ship, seconds of a step of ages, least number of an id.
 _HEADER = struct.Struct('>3siHI')
 _CHECKSUM = struct.Struct('>I')
@@ -50,7 +50,7 @@ _WIDTHS = {
     'age': 6,
     'speed': 5,
 }
-# The highest value of a field: it is not known, or not said.
+# The highest value of a field means: not known, or left out.
 _UNKNOWN = {name: 2**width - 1 for name, width in _WIDTHS.items()}
 _MAX_AGE, _MAX_AGE_STEP = 2 ** _WIDTHS['age'] - 1, 2**16 - 1
 _MAX_VIEWS = 2 ** _WIDTHS['views'] - 1
@@ -60,13 +60,13 @@ _SECOND = 1_000_000_000
 _LATEST = 2**31 - 1
 _MAX_NUMBER = 2**32 - 1
 _ID = re.compile('(.*?)(0|[1-9][0-9]*)', re.DOTALL)
-# Bytes of the text before the number of an id, and of a class; longer ones are not said.
+# Maximum bytes of the text before the number of an id, and of a class; longer ones are left out.
 _MAX_TEXT = 32
 
 
 class ShipMessage(NamedTuple):
     """
-    A message and what it does not hold.
+    A message, and the ships that are not in it.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ def read_ship_message(content: bytes) -> list[ShipReport]:
     """
     Read a message that `ship_message` has written.
 
-    The first time of a ship is unknown, and given as its last.
+    A message does not have the first time of a ship: its last time takes that place.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def _message(
 
 
 def _split(ship_id: str) -> tuple[bytes, int] | None:
-    """Split an id into a text and a number; None if that cannot be said in a message."""
+    """Split an id into a text and a number; None if a message cannot hold it."""
     match = _ID.fullmatch(ship_id)
     if match is None or len(match[2]) > len(str(_MAX_NUMBER)):
         return None
@@ -194,7 +194,7 @@ def _split(ship_id: str) -> tuple[bytes, int] | None:
 
 
 def _new_class(name: bytes, classes: Sequence[bytes]) -> list[bytes]:
-    """List the class if it has to be added to the table, and can be."""
+    """Return the class in a list, if it is new to the table and fits into it."""
     is_said = name and len(name) <= _MAX_TEXT and len(classes) < _UNKNOWN['class']
     return [name] if is_said and name not in classes else []
 
@@ -236,7 +236,7 @@ _LENGTH, _WIDTH, _SIGMA = (0.5, 1.015), (0.5, 1.04), (0.1, 1.5)
 
 
 def _codes(ship: ShipReport) -> dict[str, int]:
-    """Turn what a ship is into the numbers of its fields."""
+    """Turn a ship into the numbers of its fields."""
     circle = 180.0 if ship.course_ambiguous else 360.0
     major, minor, azimuth = ship.sigma_m or (math.nan,) * 3
     score, speed = ship.score, ship.speed
@@ -247,7 +247,7 @@ def _codes(ship: ShipReport) -> dict[str, int]:
         'ambiguous': int(ship.course_ambiguous),
         'length': _log_code(ship.length_m, _LENGTH, _UNKNOWN['length'], round),
         'width': _log_code(ship.width_m, _WIDTH, _UNKNOWN['width'], round),
-        # Never smaller than it is.
+        # Rounded up, so that it is never too small.
         'major': _log_code(major, _SIGMA, _UNKNOWN['major'] - 1, math.ceil),
         'minor': _log_code(minor, _SIGMA, _UNKNOWN['minor'] - 1, math.ceil),
         'azimuth': 0 if math.isnan(azimuth) else round(azimuth / 180.0 * _AZIMUTH) % _AZIMUTH,
@@ -269,7 +269,7 @@ def _log_code(
         return top + 1
     first, ratio = scale
     steps = math.log(max(value, first) / first) / math.log(ratio)
-    # Less than nothing, so that a value on the scale stays where it is.
+    # Slightly less, so that a value on the scale stays where it is.
     return min(rounded(steps - 1e-9), top)
 
 

@@ -20,22 +20,22 @@ __all__ = [
 ]
 
 MAX_LIST_BYTES = 2**24
-"""Maximum size of a list that is read, unpacked: some 50,000 ships."""
+"""Maximum unpacked size of a list that is read: some 50,000 ships."""
 MAX_SHIPS = 20_000
-"""Ships that are remembered until they are listed, or wait in a list."""
+"""Maximum number of ships that are remembered for the next list, or that wait in a list."""
 
-# Uncertainties that differ by less do not say which report is better.
+# If uncertainties differ by less than this factor, they do not say which report is better.
 _ALIKE = 0.9
 
 
 class ShipListError(ObbhbbError, ValueError):
-    """A file is no ship list, or a damaged one; the text says why."""
+    """A file is not a ship list, or is damaged; the text says why."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShipReport:
     """
-    What a ship list says of a ship.
+    What a ship list says about a ship.
 
     Attributes
     ----------
@@ -112,11 +112,11 @@ def most_valuable(ships: Sequence[ShipReport], count: int) -> list[ShipReport]:
 
 def joined_reports(earlier: ShipReport, later: ShipReport) -> ShipReport:
     """
-    Join what two lists say of one ship.
+    Join what two lists say about one ship.
 
-    Place, course and size are those of the smaller uncertainty; where these are alike, of more
-    views: at the border of the image a ship may be seen in part. Class and score are the most
-    certain ones; speed and its course those of the later list, if it has them.
+    Place, course and size are those with the smaller uncertainty; if the uncertainties are alike,
+    those with more views, because the border of the image may cut a ship. Class and score are the
+    most certain ones; speed and its course those of the later list, if it has them.
 
     Examples
     --------
@@ -147,7 +147,7 @@ def joined_reports(earlier: ShipReport, later: ShipReport) -> ShipReport:
 
 
 def _better(earlier: ShipReport, later: ShipReport) -> ShipReport:
-    """Return the report that tells better where a ship was."""
+    """Return the report that knows better where a ship was."""
     first, second = (ship.sigma_m[0] if ship.sigma_m else None for ship in (earlier, later))
     if (first is None) != (second is None):
         return earlier if second is None else later

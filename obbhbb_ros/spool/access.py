@@ -46,7 +46,7 @@ class SpoolAccess:
     folder : Path
         Folder of the spool; created if it is missing.
     on_trouble : callable
-        Called with a text about anything that an operator should know and that raises no error.
+        Called with a text about anything that an operator should know but that raises no error.
 
     Attributes
     ----------

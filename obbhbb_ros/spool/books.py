@@ -9,8 +9,8 @@ stored, a chip is claimed, released, delivered. So at every instant
 
 where `in work` are the chips of frames that a running process has not stored yet.
 
-All that a catalogue holds besides chips is one text, sealed with a digest and kept twice. Damage to
-one of both costs nothing; of both, the catalogue.
+Everything that a catalogue holds besides chips is one text, sealed with a digest and kept twice.
+Damage to one copy costs nothing; damage to both costs the catalogue.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from obbhbb_ros.spool.ranking import FADE
 from obbhbb_ros.spool.seals import is_sealed
 from obbhbb_ros.spool.seals import sealed
 
-# Tables, and so pages, of their own.
+# They have tables, and so pages, of their own.
 _COPIES = ('books', 'books_copy')
 
 
 @dataclass
 class Books:
     """
-    What a catalogue holds besides chips, as read and written by one transaction.
+    What a catalogue holds besides chips; one transaction reads and writes it.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class Books:
     @classmethod
     def read(cls, rows: sqlite3.Cursor, on_restored: Callable[[], object] = lambda: None) -> Books:
         """
-        Read the books of a catalogue; if they are damaged take the copy, and count that.
+        Read the books of a catalogue; if they are damaged, use the copy and count that.
 
         Raises
         ------
@@ -139,7 +139,7 @@ class Books:
         """Write the books into a catalogue."""
         text = self.text()
         for table in _COPIES:
-            # Damage may have changed number and key of the rows.
+            # Damage may have changed the number and the keys of the rows.
             rows.execute(f'DELETE FROM {table}')
             rows.execute(f'INSERT INTO {table} VALUES (1, ?)', (text,))
 

@@ -33,13 +33,13 @@ from obbhbb_ros.files import sync_folder
 _NAME = re.compile(r'[a-z]+_([0-9]+)_[0-9a-f]{6}\.sqlite3')
 DAMAGED = '.damaged'
 """Suffix of the mark beside a damaged database."""
-# Suffix of the mark beside a database whose indexes were rebuilt, or were to be.
+# Suffix of the mark beside a database whose indexes were rebuilt, or were about to be.
 _REBUILT = '.rebuilt'
-# Seconds after that in which another process may still meet the damage of before.
+# For so many seconds afterwards, another process may still meet the old damage.
 _AFTERMATH = 60.0
 # Name of the lock of a process that opens a database.
 _OPENING = 'open.lock'
-# Seconds to wait for a process that holds the lock, after the first wait in vain.
+# Seconds to wait for a process that holds the lock, once a first wait was in vain.
 _IMPATIENCE = 0.05
 
 
@@ -48,7 +48,7 @@ class SpoolError(ObbhbbError, OSError):
 
 
 class SpoolDamagedError(SpoolError):
-    """The database in use was damaged; it is mended, or the next transaction begins a new one."""
+    """The database in use was damaged; it was mended, or the next transaction begins a new one."""
 
 
 class CatalogueSchema(NamedTuple):
@@ -206,12 +206,12 @@ class Catalogue:
         return is_in_use(self._path)
 
     def _check_files(self) -> None:
-        """Set the database aside and close it if one of its files is gone or another one."""
+        """Set the database aside and close it if one of its files is gone or was replaced."""
         before, self._files = self._files, self._files_now()
-        # SQLite makes one later if the disk was full.
+        # SQLite creates one later if the disk was full.
         if all(file in (None, now) for file, now in zip(before, self._files, strict=True)):
             return
-        # What other processes write into it would be lost.
+        # Whatever other processes wrote into it would be lost.
         if self._path.exists():
             self._set_aside('')
         self.close()
@@ -245,7 +245,7 @@ class Catalogue:
         database = sqlite3.connect(
             self._path, timeout=self._wait, isolation_level=None, check_same_thread=False
         )
-        # Whoever uses a text checks it for damage.
+        # The users of a text check it for damage.
         database.text_factory = lossy_text
         try:
             # Small pages: a page is used again only when all of it is free.
@@ -379,7 +379,7 @@ class Catalogue:
         self._wait = seconds
 
     def _new_path(self) -> Path:
-        """Return a name that no database had."""
+        """Return a name that no database has had."""
         number = max(map(_number, catalogue_files(self.folder)), default=0)
         name = f'{self._schema.content}_{number + 1:04d}_{secrets.token_hex(3)}.sqlite3'
         return self.folder / name

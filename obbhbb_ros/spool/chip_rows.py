@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A chip on its way into the catalogue, and as it comes out."""
+"""A chip on its way into the catalogue, and on its way out."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from obbhbb_ros.spool.ranking import worth_of
 from obbhbb_ros.spool.seals import digest_of
 from obbhbb_ros.wire.stamp import Stamp
 
-# As `NewChip.row` makes them; the last number is that of the row.
+# In the form of `NewChip.row`; the last number is that of the row.
 _ID = re.compile(r'-?[0-9]+_[0-9]{9,10}_[0-9a-f]{6}_([0-9]{1,18})')
 
 

@@ -2,8 +2,8 @@
 """
 The JSON of a chip in fewer bytes: short numbers, and its camera in a file of its own.
 
-Many chips have one camera. What belongs to it alone is a pair of files like a chip, whose name is
-made from its content; the chips name it and keep what differs from image to image.
+Many chips share one camera. The facts about the camera are a pair of files like a chip, with a name
+made from its content. The chips name it, and keep only what differs from image to image.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SHARED_KEYS = ('size', 'k', 'model', 'd')
 _BOX_DECIMALS = (2, 2, 2, 2, 5)
 # Of other numbers.
 _SIGNIFICANT_DIGITS = 6
-# What is not known before a chip is claimed, as long as it can get.
+# What is not known before a chip is claimed, at its greatest length.
 _LONGEST = {'rank': -1.23456e-300, 'view': 10_000_000}
 
 

@@ -48,9 +48,9 @@ from obbhbb_ros.spool.releaser import Stall
 _BATCH = 16
 # Seconds to wait: with nothing to do, after a failure, and between two looks into the outbox.
 _IDLE, _RETRY, _LOOK = 0.1, 1.0, 1.0
-# Looks into the outbox may take this share of the time.
+# Looking into the outbox may take this share of the time.
 _LOOK_SHARE = 0.05
-# Cameras to remember: one that zooms is another in every image.
+# Cameras to remember: one that zooms is a different camera in every image.
 _MAX_CAMERAS = 1000
 # Seconds that a thread has for its last step; a disk that does not answer keeps it longer.
 _LAST_STEP = 2.0
@@ -245,7 +245,7 @@ class OutboxFeeder:
         """Write down what became of the chips of a batch."""
         (put, left), removal = self._batch, self.settings.removal
         if put and removal and self._is_replaced():
-            # They are in another folder; the outbox is read again when it is back.
+            # They are in another folder; the next step reads the outbox when it is back.
             put.clear()
             raise SpoolError(f'{self._outbox.folder} was replaced; is it mounted?')
         self._spool.released(put, is_delivered=not removal)
@@ -254,7 +254,7 @@ class OutboxFeeder:
         left.clear()
 
     def _is_replaced(self) -> bool:
-        """Return whether another folder, or none, is in place of the outbox."""
+        """Return whether another folder, or none, is in the place of the outbox."""
         token = self._spool.outbox()
         return bool(token) and not (self._outbox.folder.exists() and token == self._outbox.token())
 
@@ -282,7 +282,7 @@ class OutboxFeeder:
         if not self.is_contact:
             self.stalled_by = 'no contact'
             if not settings.removal:
-                # Nothing tells whether the ground has them: they come down once in each contact.
+                # Nothing says whether the ground has them: they come down once in each contact.
                 self._known_cameras.clear()
             return _IDLE
         overhead = settings.budget.overhead

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A ship list in the catalogue of lists, and as a pair of files in the outbox."""
+"""A ship list as a row of the catalogue of lists, and as a pair of files in the outbox."""
 
 from __future__ import annotations
 

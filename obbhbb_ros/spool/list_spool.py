@@ -2,7 +2,7 @@
 """
 Where ship lists wait for the ground, in a catalogue of their own beside that of the chips.
 
-At most one list waits: the next one takes its ships over in the same transaction. One at most is
+At most one list waits: the next one takes over its ships in the same transaction. One at most is
 claimed: of what waits, as much as the link carries at once; the rest goes on waiting. Every change
 is on disk when it ends, so at every instant
 
@@ -356,7 +356,7 @@ def _joined(old: Sequence[ShipReport], new: Sequence[ShipReport]) -> list[ShipRe
 
 
 def _readable(ships: Sequence[ShipReport]) -> tuple[list[ShipReport], bytes]:
-    """Write a list that can be read again: of too many ships, or too long texts, the best half."""
+    """Write a list that can be read again; if it is too large, only its better half."""
     kept = most_valuable(ships, MAX_SHIPS)
     while True:
         try:
@@ -366,7 +366,7 @@ def _readable(ships: Sequence[ShipReport]) -> tuple[list[ShipReport], bytes]:
 
 
 def _size(file_bytes: int) -> int:
-    """Return the size of a list with its JSON; damage may have made anything of its size."""
+    """Return the size of a list with its JSON; damage may have turned the size into anything."""
     return LIST_JSON_ROOM + (file_bytes if isinstance(file_bytes, int) else 0)
 
 

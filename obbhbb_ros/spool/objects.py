@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which ship a chip shows: ids of detections, made unlike those of any other run."""
+"""Which ship a chip shows: ids of detections, made different from those of any other run."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from obbhbb_ros.tracking.track_ids import is_tracker_id
 from obbhbb_ros.tracking.track_ids import new_session
 from obbhbb_ros.tracking.track_ids import repeated_ids
 
-# No tracker keeps a number for longer without detections, seconds.
+# No tracker keeps a number longer than this without detections, seconds.
 _PAUSE = 60.0
 
 

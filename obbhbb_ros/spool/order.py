@@ -22,7 +22,7 @@ from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.ranking import MAX_K
 
-# Damage may have made anything of k: nothing is passed over.
+# Damage may have turned k into anything: no chip must be missed.
 _CLASSES = (*((f'k = {k}', k) for k in range(MAX_K + 1)), (f'k > {MAX_K}', MAX_K), ('k < 0', MAX_K))
 
 

@@ -31,7 +31,7 @@ JSON_SUFFIX = '.json'
 # Prefix of hidden files, such as unfinished ones.
 _HIDDEN = '.'
 _TOKEN = '.outbox'
-# A token has 16 characters; whatever else is there may be endless.
+# A token has 16 characters; anything else in its place may be endless.
 _MAX_TOKEN = 64
 # Unfinished files, as `_hidden_name` names them.
 _UNFINISHED = re.compile(r'\.[0-9a-f]{8}\.\w+')
@@ -229,7 +229,7 @@ class Outbox:
     def _remove(
         folder: Path, ids: Collection[str], others: re.Pattern[str] = re.compile('(?!)')
     ) -> None:
-        """Remove the files of chips, and those whose name has a pattern, but no folder."""
+        """Remove the files of chips, and files whose name matches a pattern, but no folder."""
         for path in list(folder.iterdir()):
             is_unwanted = path.name.partition('.')[0] in ids or others.fullmatch(path.name)
             if is_unwanted and (path.is_symlink() or not path.is_dir()):
@@ -250,7 +250,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def _name(partial: Path, path: Path) -> None:
-    """Give a finished file its name; what has it is replaced, a folder moved out of the way."""
+    """Give a finished file its name; replace a file that has it, move a folder out of the way."""
     try:
         os.replace(partial, path)
     except IsADirectoryError:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The rank of a chip: by it chips are released and evicted, and repeated views of a ship come last.
+The rank of a chip decides when it is released or evicted; repeated views of a ship come last.
 
     rank = worth * fade**k,
 
@@ -21,7 +21,7 @@ MAX_K = 3
 """Where k stops."""
 FADE = 0.1
 """The default of `fade`."""
-# An id, and the number that it ends with.
+# An id, and the number at its end.
 _PARTS = re.compile('(.*?)([0-9]{0,9})', re.DOTALL)
 
 

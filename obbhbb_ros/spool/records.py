@@ -67,7 +67,7 @@ def recorder_of(
             'obb': _finite(source.obb),
             **common,
         }
-        # A chip of several ships counts for that of its most valuable detection.
+        # A chip of several ships counts for the ship of its most valuable detection.
         first = source.id or next(iter(detection_ids[chip.index]), '')
         if places is not None:
             facts['position'] = places.facts(first)

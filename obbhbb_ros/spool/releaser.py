@@ -30,7 +30,7 @@ _JSON_ROOM = 192
 # Bytes that a chip costs on the link: its file and its JSON. A damaged chip costs nothing: it is
 # claimed, and evicted.
 _COST = f'ifnull(bytes + length(CAST(facts AS BLOB)) + {_JSON_ROOM}, 0)'
-# No JSON makes it less.
+# JSON cannot make it less.
 _LEAST_COST = 'ifnull(bytes + 0, 0)'
 
 

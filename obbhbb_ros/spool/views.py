@@ -18,13 +18,13 @@ from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.ranking import MAX_K
 
-# Objects of which views were released are remembered in this share of the spool, or so many where
-# the spool has no limit. Each takes so many bytes.
+# Objects with released views are remembered in this share of the spool, or this many of them if the
+# spool has no limit. Each takes this many bytes.
 _SHARE, _MAX_OBJECTS, _OBJECT_BYTES = 0.02, 1_000_000, 60
 # Objects to forget in one transaction.
 _MAX_FORGOTTEN = 1000
 
-# What can be a number of released views.
+# Values that can be a number of released views.
 _COUNTS = range(2**31)
 
 # Less its worth, and number.
@@ -112,7 +112,7 @@ class ObjectViews:
         self._renumber(known)
 
     def forget(self, max_bytes: float) -> None:
-        """Forget the objects from which longest no view was released, in a spool of a size."""
+        """Forget the objects whose last released view is the oldest, in a spool of a size."""
         limit = int(_SHARE * max_bytes / _OBJECT_BYTES) if max_bytes else _MAX_OBJECTS
         self._rows.execute(
             'DELETE FROM objects WHERE object IN (SELECT object FROM objects WHERE turn <= ? '
@@ -150,7 +150,7 @@ class ObjectViews:
 
     def _first(self, key: int) -> list[_Place]:
         """List the first views of an object."""
-        # Damage may have made anything of a worth.
+        # Damage may have turned a worth into anything.
         return self._rows.execute(
             'SELECT -ifnull(CAST(worth AS REAL), 0.0), seq FROM chips '
             'WHERE object = ? AND state < 2 ORDER BY worth DESC, seq LIMIT ?',
@@ -161,7 +161,7 @@ class ObjectViews:
         """Return how many views of an object were released, as far as that is remembered."""
         self._rows.execute('SELECT released FROM objects WHERE object = ?', (key,))
         released = [row[0] for row in self._rows.fetchall()]
-        # Damage may have made anything of it; a range is searched for what is no number.
+        # Damage may have turned it into anything; a range is searched for what is not a number.
         is_count = released and isinstance(released[0], int) and released[0] in _COUNTS
         return released[0] if is_count else 0
 
@@ -179,5 +179,5 @@ def _numbered(views: Sequence[_Place], released: int) -> dict[int, int]:
 
 
 def _distinct(keys: Iterable[int | None]) -> list[int]:
-    """List keys once; damage may have made anything of one."""
+    """List each key once; damage may have turned one into anything."""
     return list(dict.fromkeys(key for key in keys if isinstance(key, int)))

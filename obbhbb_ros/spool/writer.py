@@ -84,17 +84,17 @@ class SpoolWriter(SpoolAccess):
     def __init__(self, folder: Path, on_trouble: Callable[[str], object]) -> None:
         super().__init__(folder, on_trouble)
         self._number = 0
-        # What is still to be written down: frames to close, and what to add to the books.
+        # Still to be written down: frames to close, and additions to the books.
         self._open_frames: list[FrameTicket] = []
         self._unbooked: Counter[str] = Counter()
-        # The fade to set, None if it is set.
+        # The fade to set; None if it has been set.
         self._fade: float | None = None
         self._fade_due: float | None = None
         self._on_fade: Callable[[float], object] = lambda before: None
 
     def set_fade(self, fade: float, on_change: Callable[[float], object] | None = None) -> None:
         """
-        Set by what repeated views of a ship count less, for all users of the spool.
+        Set how much less repeated views of a ship count, for all users of the spool.
 
         The last one who sets it counts; it is written down with what comes next.
 
@@ -228,7 +228,7 @@ class SpoolWriter(SpoolAccess):
         if ticket.catalogue != self._catalogue.tag:
             books.count('planned', ticket.chips)
         elif not books.take_off_frame(ticket.number, ticket.chips):
-            # Another writer has closed it, as a frame of a process that had ended.
+            # Another writer has closed it, as the frame of a process that had ended.
             books.count('refused.interrupted', -ticket.chips)
 
     def _on_open(self, rows: sqlite3.Cursor) -> None:

@@ -46,8 +46,8 @@ FIELDS = np.dtype(
 )
 """Number, px, px/s, px², px²/s, px²/s², px, rad, s, number, whether, unit vector."""
 
-# Standard deviation of a ship's speed before it is measured, ship lengths per second: a boat of 12 m
-# at 15 m/s is four of them away. For a part of a ship it is larger by this factor.
+# Standard deviation of a ship's speed before it is measured, ship lengths per second: for a boat of
+# 12 m, 15 m/s is four of them. For a part of a ship it is larger by the second number.
 _SPEED = 0.3
 _SPEED_OF_PART = 3.0
 # An end this close to the border, in ship lengths, may be where the border cuts the ship.
