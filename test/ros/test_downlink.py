@@ -532,7 +532,7 @@ def test_an_error_on_the_topics_costs_the_spool_nothing(site: Site, tmp_path: Pa
         assert counts['spool.in_work'] == 0
 
 
-def test_a_spool_that_is_deleted_is_said_and_begins_anew(chain: Chain) -> None:
+def test_a_deleted_spool_is_reported_and_replaced(chain: Chain) -> None:
     node = chain.downlink()
     node.wait(lambda: node.counts()['spool.waiting'] == 0, 'a release')
     # All of it at once: the nodes make its files anew as soon as they miss them.
@@ -540,7 +540,7 @@ def test_a_spool_that_is_deleted_is_said_and_begins_anew(chain: Chain) -> None:
     chain.spool.rename(gone)
     shutil.rmtree(gone)
     chain.store([0.5, 0.6])
-    chain.chips.wait_for_log('was deleted or replaced, a new catalogue begins')
+    chain.chips.wait_for_log('was deleted or replaced; a new catalogue begins')
     node.wait(lambda: node.counts()['spool.delivered'] == 2, 'both are released')
     assert chain.books()['spool.planned'] == 2
 
