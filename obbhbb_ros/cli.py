@@ -14,6 +14,24 @@ from obbhbb_ros.errors import ObbhbbError
 
 # Shells add the number of the signal that ended a command to this.
 _BY_SIGNAL = 128
+# The extra that brings a module.
+_EXTRAS = {
+    'PIL': 'images',
+    'geopandas': 'geo',
+    'jinja2': 'plots',
+    'lz4': 'bags',
+    'matplotlib': 'plots',
+    'mcap': 'bags',
+    'pyarrow': 'arrow',
+    'pyogrio': 'geo',
+    'pyproj': 'geo',
+    'rasterio': 'geo',
+    'rosbags': 'bags',
+    'ruamel': 'bags',
+    'tqdm': 'progress',
+    'yaml': 'bags',
+    'zstandard': 'bags',
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -53,10 +71,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f'obbhbb: {what}', file=sys.stderr)
         return 1
     except (ObbhbbError, ImportError, OSError, ValueError) as error:
-        advice = '; see the extras in the README' if isinstance(error, ImportError) else ''
+        advice = _advice(error) if isinstance(error, ImportError) else ''
         print(f'obbhbb: {error}{advice}', file=sys.stderr)
         return 1
     return code
+
+
+def _advice(error: ImportError) -> str:
+    """Say what to install if a module is missing."""
+    module = (error.name or '').partition('.')[0]
+    if extra := _EXTRAS.get(module):
+        return f"; install the extra {extra}: pip install '.[{extra}]' in the checkout"
+    if module.startswith('rcl') or module.endswith(('_msgs', '_interfaces')):
+        return '; this needs ROS 2 Jazzy, or the extra jazzy'
+    return '; see the extras in the README'
 
 
 def _prepare_output() -> None:

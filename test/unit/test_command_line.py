@@ -49,6 +49,28 @@ def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().out == f'obbhbb {__version__}\n'
 
 
+@pytest.mark.parametrize(
+    ('module', 'advice'),
+    [
+        ('geopandas', "pip install '.[geo]'"),
+        ('matplotlib.pyplot', "pip install '.[plots]'"),
+        ('diagnostic_msgs', 'this needs ROS 2 Jazzy, or the extra jazzy'),
+        ('no_such_module', 'see the extras in the README'),
+    ],
+)
+def test_a_missing_module_is_reported_with_its_extra(
+    module: str, advice: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run(arguments: list[str]) -> int:
+        raise ModuleNotFoundError(f'No module named {module!r}', name=module)
+
+    monkeypatch.setattr('obbhbb_ros.commands.run', run)
+    assert main(['convert']) == 1
+    line = capsys.readouterr().err
+    assert line.startswith(f'obbhbb: No module named {module!r}; ')
+    assert advice in line
+
+
 # A full disk ----------------------------------------------------------------------------------
 
 OUTPUTS = {
