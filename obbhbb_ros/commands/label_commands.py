@@ -45,7 +45,11 @@ def add_convert_options(parser: ArgumentParser) -> None:
         help=f'format of OUT: {", ".join(written)}; default: by the suffix of OUT',
     )
     variants = [f'{name} of {form.name}' for form in FORMATS.values() for name in form.variants]
-    add('--variant', metavar='NAME', help=f'write it otherwise: {", ".join(variants)}')
+    add(
+        '--variant',
+        metavar='NAME',
+        help=f'write the format as other tools need it: {", ".join(variants)}',
+    )
     add('--method', default=rule.method, help=f'{", ".join(METHODS)}; default: %(default)s')
     add_number_options(parser, rule, PARAMETERS)
     add_end_options(parser)

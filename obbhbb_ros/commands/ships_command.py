@@ -48,14 +48,14 @@ def add_ships_options(parser: ArgumentParser) -> None:
         '--merge-within',
         type=_metres,
         metavar='M',
-        help='join what was seen within M metres at different times',
+        help='join rows within M metres of each other that were not seen at the same time',
     )
     add(
         '--near',
         type=float,
         nargs=3,
         metavar=('LAT', 'LON', 'M'),
-        help='only ships within M metres of a place, degrees',
+        help='only ships within M metres of a place; latitude and longitude in degrees',
     )
     add('--since', type=_time, metavar='TIME', help='only ships seen then or later, ISO 8601, UTC')
     add('--min-length', type=_metres, metavar='M', help='only ships of M metres or more')
@@ -82,7 +82,8 @@ def run_ships(options: Namespace) -> None:
     left_out: Counter[str] = Counter()
     rows = ship_rows(folders, left_out)
     if not rows:
-        reasons = _reasons(left_out) or 'no ship lists and no chips'
+        names = ', '.join(map(str, options.outbox))
+        reasons = _reasons(left_out) or f'{names}: neither ship lists nor chips'
         raise ValueError(f'no ships with a place: {reasons}')
     if options.merge_within:
         rows = merged_within(rows, options.merge_within)

@@ -84,7 +84,7 @@ def add_spool_options(parser: ArgumentParser) -> None:
         '--objects',
         dest='by_object',
         action='store_true',
-        help='list: one line for each known ship of which chips wait',
+        help='list: one line for each known ship whose chips wait',
     )
     add('--to', type=float, metavar='V', help='revalue: the new value')
     add('--by', type=float, metavar='F', help='revalue: factor on the value, 0 or more')

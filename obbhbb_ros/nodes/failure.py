@@ -33,4 +33,7 @@ def _text(error: BaseException) -> str:
         return 'too little memory'
     if isinstance(error, UnicodeEncodeError):
         return f'{error.object!a} is not UTF-8 text here; LANG=C.UTF-8 helps if it looks right'
-    return str(error) or type(error).__name__
+    text = str(error) or type(error).__name__
+    if "type 'INTEGER', expecting type 'DOUBLE'" in text:
+        text += '; write 2.0 instead of 2'
+    return text

@@ -62,15 +62,15 @@ CHIP_EXTRACTOR = ParameterTable(
         Parameter(
             'spool.max_bytes',
             1e9,
-            'Maximum size of the spool, bytes; the chips of the lowest rank are evicted first. '
-            '0: unlimited.',
+            'Maximum size of the spool, bytes; a full spool evicts the chips of the lowest rank '
+            'first. 0: unlimited.',
             Range(0.0, MAX_BYTES),
         ),
         Parameter(
             'spool.fade',
             FADE,
-            'What a view of a ship counts for each better view of it that waits or was released: '
-            'the factor on its value. 1: as much as the first.',
+            'Factor on the value of a view for each better view of the same ship that waits or '
+            'was released. 1: all views count in full.',
             Range(0.0, 1.0),
         ),
     ),

@@ -73,8 +73,8 @@ DOWNLINK = ParameterTable(
         Parameter(
             'contact_timeout',
             0.0,
-            'With `contact: topic`, contact that no message renews for this many seconds counts as '
-            'lost. 0: it lasts until a message ends it.',
+            'With `contact: topic`, contact counts as lost if no message renews it for this many '
+            'seconds. 0: it lasts until a message ends it.',
             Range(0.0, 1e6),
         ),
         Parameter(
@@ -92,7 +92,7 @@ DOWNLINK = ParameterTable(
         Parameter(
             'outbox.levels',
             [0.0],
-            'Thresholds of rank of the priority folders. Folder 0 takes chips at or above the '
+            'Rank thresholds of the priority folders. Folder 0 takes chips at or above the '
             'highest threshold, folder 1 those at or above the next, and so on.',
         ),
         Parameter(
@@ -104,8 +104,8 @@ DOWNLINK = ParameterTable(
         Parameter(
             'outbox.json',
             'full',
-            'JSON of the chips: `full`, or `compact`: no spaces, short numbers, and cameras in '
-            'files of their own.',
+            'Form of the JSON of chips: `full`; or `compact`, with no spaces, short numbers, and '
+            'separate files for cameras.',
             Choices(('full', 'compact')),
         ),
     ),

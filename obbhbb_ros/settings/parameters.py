@@ -79,9 +79,8 @@ class Parameter:
             with the name of the parameter.
         """
         if not self._has_type(value):
-            raise ValueError(
-                f'{self.name} must be a {self.type_name}, not {value!r}{self._advice(value)}'
-            )
+            kind = f'{"an" if self.type_name.startswith("int") else "a"} {self.type_name}'
+            raise ValueError(f'{self.name} must be {kind}, not {value!r}{self._advice(value)}')
         if self.limits is not None:
             self.limits.check(self.name, value)
 
@@ -108,10 +107,13 @@ class Parameter:
         return value
 
     def _advice(self, value: Any) -> str:
-        """Say how to write the elements of a list of strings that were read as something else."""
-        if not (self.type_name == 'string[]' and isinstance(value, list)):
-            return ''
-        return f': quote them: {json.dumps([str(element) for element in value])}'
+        """Say how to write a value that was read as another type."""
+        elements = value if isinstance(value, list) else [value]
+        if self.type_name == 'string[]' and isinstance(value, list):
+            return f': quote them: {json.dumps([str(element) for element in value])}'
+        if self.type_name.startswith('double') and any(type(one) is int for one in elements):
+            return ': write 2.0 instead of 2'
+        return ''
 
     def _has_type(self, value: Value) -> bool:
         """Return whether a value has the type of the default; of a list, each of its elements."""

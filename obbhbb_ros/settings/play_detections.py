@@ -58,14 +58,14 @@ class PlayerSettings(CheckedSettings):
     pass_height: int = setting(
         0,
         'Play a pass of a moving camera over every image: a window of this height moves down it, '
-        'pixels. Detections have no ids then. 0: the whole image at once.',
+        'pixels. Detections then have no ids. 0: the whole image at once.',
         _SIDE,
         read_only=True,
     )
     pass_step: int = setting(
         40,
-        'By how much that window moves from image to image, pixels; no more than its height. The '
-        'last step of an image may be a shorter one.',
+        'How far that window moves from image to image, pixels; not more than its height. The last '
+        'step of an image may be shorter.',
         Range(1, IMAGE_SIZE_LIMIT),
         read_only=True,
     )
@@ -111,7 +111,7 @@ class PlayerSettings(CheckedSettings):
         if bool(self.image_width) != bool(self.image_height):
             raise ValueError('image_width and image_height must be given together')
         if self.pass_height and self.pass_step > self.pass_height:
-            raise ValueError('pass_step must not exceed pass_height: ships between are never seen')
+            raise ValueError('pass_step must not exceed pass_height: ships would be missed')
         if self.pass_altitude and not self.pass_height:
             raise ValueError('pass_altitude needs a pass: set pass_height')
 

@@ -98,7 +98,7 @@ ANY_CHIP = ChipFilter()
 
 
 class ObjectSummary(NamedTuple):
-    """A ship of which chips wait: its best chip, how many there are, how many were released."""
+    """A ship whose chips wait: its best chip, how many there are, how many were released."""
 
     best: StoredChip
     views: int
@@ -119,7 +119,7 @@ class SpoolConsole(SpoolAccess):
             return list(islice(listed, None if limit < 0 else limit))
 
     def objects(self, chips: ChipFilter = ANY_CHIP, limit: int = -1) -> list[ObjectSummary]:
-        """List known ships of which chips wait, by the rank of their best ones."""
+        """List known ships whose chips wait, by the rank of their best ones."""
         where, values = chips.sql()
         known = f'object IS NOT NULL AND {where}'
         best: dict[int | None, StoredChip] = {}

@@ -174,8 +174,8 @@ def test_a_file_without_parameters_is_an_error_that_names_the_file(written, text
     [
         ({'q': 0.5}, '^q must be 1 to inf, not 0.5'),
         ({'q': math.nan}, '^q must be'),
-        ({'q': 3}, '^q must be a double, not 3'),
-        ({'image_width': True}, '^image_width must be a int'),
+        ({'q': 3}, '^q must be a double, not 3: write 2.0 instead of 2'),
+        ({'image_width': True}, '^image_width must be an int'),
         ({'method': 'magic'}, '^method must be one of'),
         ({'f': 0.0}, '^f must be above 0 and at most 2, not 0.0'),
         ({'crop.max_size': 8, 'crop.min_size': 9}, '^crop.max_size'),

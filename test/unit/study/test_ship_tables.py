@@ -226,7 +226,7 @@ def test_no_table_is_written_if_no_ship_has_a_place(tmp_path, capsys) -> None:
     assert 'no such folder' in capsys.readouterr().err
     (tmp_path / 'empty').mkdir()
     assert main(['ships', str(tmp_path / 'empty'), '-o', str(path)]) == 1
-    assert 'no ship lists and no chips' in capsys.readouterr().err
+    assert 'empty: neither ship lists nor chips' in capsys.readouterr().err
     assert not path.exists()
 
 
