@@ -85,9 +85,9 @@ _LOST_FOR_GOOD = {
     Dropped.LARGER_THAN_BURST.value: 'they exceed budget.burst, so no pause is long enough',
 }
 _MISTAKES = (Unpaired.DUPLICATE, Unpaired.ZERO_STAMP)
-# What the frame_id and the camera of an image may take in each of its chips, bytes.
+# Maximum size of the frame_id and of the camera of an image, which each chip repeats, bytes.
 _MAX_REPEATED = 10_000
-# How long a frame is cut before the node answers, seconds.
+# How long the node cuts a frame before it answers requests, seconds.
 _SLICE = 0.1
 
 
@@ -255,12 +255,12 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         return settings
 
     def _set_fade(self) -> None:
-        """Write down in the spool by what repeated views of a ship count less."""
+        """Write down in the spool how much less repeated views of a ship count."""
         if self._spool is not None:
             self._spool.set_fade(self.parameters.settings.spool_fade, self._on_fade_changed)
 
     def _on_fade_changed(self, before: float) -> None:
-        """Log that chips that wait have other ranks now."""
+        """Log that the ranks of waiting chips have changed."""
         fade = self.parameters.settings.spool_fade
         self.get_logger().info(f'spool.fade of the spool is now {fade:g}; it was {before:g}')
 
@@ -312,7 +312,7 @@ class ChipExtractor(ManagedNode[ChipSettings]):
         self._paired.add(image.stamp, frame, image.data.nbytes, now)
 
     def _cut_what_is_ready(self, now: float, limits: PairLimits) -> None:
-        """Cut the images that wait for nothing any more, or have waited long enough."""
+        """Cut the images that no longer wait for anything, or have waited long enough."""
         for image, planned in self._images.near_pairs(now, limits.slop, limits.max_age):
             self.monitor.add('frames_paired_by_slop')
             self._pair(image, planned, now)

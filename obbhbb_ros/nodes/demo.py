@@ -118,7 +118,7 @@ def boxes_by_method(labels: ImageLabels) -> dict[str, FloatArray]:
     with DemoChain({'obb_to_hbb': arguments}) as chain:
         chain.node.create_subscription(Detection2DArray, 'boxes', answers.append, 10, raw=True)
         publisher = chain.node.create_publisher(Detection2DArray, 'detections', 10)
-        # Repeatedly, because client and node discover each other's topics one by one.
+        # Repeat it, because client and node discover each other's topics one by one.
         chain.spin_until(lambda: bool(answers), 'boxes', partial(publisher.publish, message))
     boxes = np.split(xyxy_of(answers[0]), len(ONBOARD_METHODS))
     return dict(zip(ONBOARD_METHODS, boxes, strict=True))

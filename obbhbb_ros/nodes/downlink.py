@@ -142,7 +142,7 @@ class Downlink(ManagedNode[DownlinkSettings]):
             self.reporter.raise_level('contact lost', text)
 
     def _facts(self) -> dict[str, str]:
-        """Report what is released, what stalls it, and the books of the spool."""
+        """Report what the node releases, what stalls it, and the books of the spool."""
         if self._worker is None or self._spool_report is None:
             return {}
         self._watch_contact()

@@ -36,7 +36,7 @@ OVERRIDABLE = QoSOverridingOptions(
 # destroyed; and seconds after which it is destroyed even if publishers of its own are missing.
 _OVERLAP = 1.0
 _MAX_OVERLAP = 5.0
-# So many messages can be recognized when a latched topic repeats them.
+# This many messages can be recognised when a latched topic repeats them.
 _REMEMBERED = 1000
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node says of the parameters given at start that it does not use."""
+"""What a node says about the parameters given at start that it does not use."""
 
 from __future__ import annotations
 

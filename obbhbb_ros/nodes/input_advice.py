@@ -9,7 +9,7 @@ from obbhbb_ros.wire.layouts import InputType
 _COMPRESSED = '/compressed'
 # Bytes from which Fast DDS loses a best-effort message whole, with its default shared memory.
 _LARGE = 500_000
-# What the nodes of this package publish, of the types that they also read.
+# Topics that the nodes of this package publish, with types that they also read.
 _MADE = (
     'boxes',
     'crop_regions',
@@ -131,7 +131,7 @@ def advice_on_loss(
         if is_overridden
         else 'a publisher on it is best effort; a reliable one loses none'
     )
-    # Of a topic from which nothing arrives, the size is not known.
+    # If nothing arrives on a topic, the size of its messages is not known.
     if 0 < largest < _LARGE:
         return (
             f'messages of up to {largest} bytes, pushed out by others or unread in time: {remedy}'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the state file and the crash stacks of a run tell the next one."""
+"""What the next run learns from the state file and the crash stacks of a run."""
 
 from __future__ import annotations
 

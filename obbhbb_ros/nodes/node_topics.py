@@ -30,8 +30,8 @@ from obbhbb_ros.wire.layouts import InputType
 
 OVERRIDE_PREFIX = 'qos_overrides.'
 _DEPTH = 10
-# Seconds between two looks at the publishers of the inputs, and the number of looks after which a
-# topic without a publisher is reported.
+# Seconds between two looks at the publishers of the inputs, and the number of looks before the node
+# reports a topic without a publisher.
 _LOOK_PERIOD = 1.0
 _PATIENCE = 5
 
@@ -332,7 +332,7 @@ class NodeTopics(Part):
         on_demand : bool
             Whether the node itself opens the input, instead of `configure`.
         optional : bool
-            Whether the node works without it. So it does without an input that has no counter.
+            Whether the node works without it. It also works without an input that has no counter.
 
         Returns
         -------

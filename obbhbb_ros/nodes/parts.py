@@ -32,7 +32,7 @@ class Part:
         """Stop working, and drop unfinished work."""
 
     def cleanup(self) -> None:
-        """Give back what `configure` got."""
+        """Release what `configure` got."""
 
 
 def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> Any:

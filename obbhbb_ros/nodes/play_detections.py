@@ -322,7 +322,7 @@ def camera_info_message(header: Header, size: ImageSize, k: Sequence[float] = ()
 
 
 def _forget_ids(message: Any) -> None:
-    """Clear the ids of a message that has some: a detector does not know what it sees again."""
+    """Clear the ids of a message: a detector does not recognise a ship that it sees again."""
     for detection in getattr(message, 'detections', ()):
         detection.id = ''
 
@@ -358,7 +358,7 @@ def _xywhr(labels: ImageLabels, bow: BowSource) -> FloatArray:
         # If the size along theta is the shorter one, the node takes the bow as unknown.
         unknown = ~boxes.bow
         rows[unknown] = rows[unknown][:, [0, 1, 3, 2, 4]] + (0.0, 0.0, 0.0, 0.0, np.pi / 2.0)
-        # A square needs a shorter side, too.
+        # A square needs a shorter side as well.
         rows[unknown, 3] = np.maximum(rows[unknown, 3], rows[unknown, 2] * (1.0 + 1e-9))
     return rows
 

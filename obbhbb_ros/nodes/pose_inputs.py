@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inputs that tell where the camera is."""
+"""The inputs that say where the camera is."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from obbhbb_ros.wire.poses import read_fix
 from obbhbb_ros.wire.poses import read_pose
 
 _KINDS = {kind.__name__: kind for kind in (PoseStamped, PoseWithCovarianceStamped, Odometry)}
-# Of an IMU at 1 kHz, for a stall of a fifth of a second.
+# Depth for an IMU at 1 kHz and a stall of a fifth of a second.
 _DEPTH = 200
 
 AnyPoses: TypeAlias = CameraPoses | VehiclePoses

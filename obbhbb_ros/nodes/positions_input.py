@@ -40,7 +40,7 @@ class PositionsInput(Part):
 
     def __init__(self, node: ManagedNode[Any], on_positions: Callable[[], object]) -> None:
         self._node, self._on_positions = node, on_positions
-        # As they came: most are never read.
+        # Unread: most are never needed.
         self._positions = CameraMemory[bytes](_MAX_BYTES, len)
         self._cameras = CameraMemory[tuple[float, ...]]()
         quality = reliable(_DEPTH)

@@ -38,9 +38,9 @@ WAITING = {
 
 _WARNING_PERIOD = 5.0
 _MAX_SAID = 100
-# Without input, the level is ERROR after the input timeout, and STALE after so many of them.
+# Without input, the level is ERROR after the input timeout, and STALE after this many of them.
 _STALE_AFTER = 3.0
-# So many, because a subscriber has to discover a restarted node before it hears of the restart.
+# This many, because a subscriber must discover a restarted node before it hears of the restart.
 _REMINDERS = 10
 
 

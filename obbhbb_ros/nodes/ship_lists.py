@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ship lists of a node: every period the ships that it has seen go into the spool."""
+"""The ship lists of a node: every period, it puts the ships that it has seen into the spool."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ShipLists(Part):
     """
     Puts the ships of a period into the spool, as one list.
 
-    What cannot be stored is kept for the next period.
+    It keeps what it cannot store for the next period.
 
     Parameters
     ----------

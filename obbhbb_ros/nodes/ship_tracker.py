@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tracking node: oriented detections in, the same with the ids of ships out."""
+"""The tracking node: oriented detections in, the same detections with ids of ships out."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from obbhbb_ros.wire.stamp import later
 TRACKED = 'tracked_detections'
 """The topic of detections with ids."""
 
-# A pose may come so much later than an image of its time, seconds.
+# A pose may come this much later than an image of the same time, seconds.
 _TRANSPORT = 0.5
-# A message that was lost beside large images is sent again so much later, seconds; those behind it
-# wait for it.
+# DDS sends a message that was lost beside large images again after this time, seconds. Later
+# messages wait for it.
 _RESENT = 4.0
 # Seconds between two looks at the frames that wait for their pose.
 _PERIOD = 0.1
@@ -77,7 +77,7 @@ class ShipTracker(ManagedNode[TrackerSettings]):
                 image_pose=_output(self.topics.output(PoseWithCovarianceStamped, 'image_pose')),
             )
         self._detections = DetectionsInput(self, self._answer, waits)
-        # Behind the detections, so that its last list has all of them.
+        # After the detections, so that the last list has all of them.
         listing = self.parameters.settings.reports.period > 0.0
         self._lists = ShipLists(self) if listing else None
         self.reporter.add_facts(self._facts)

@@ -24,7 +24,7 @@ class SpoolReport:
 
     def __init__(self, reporter: Reporter, spool: SpoolAccess) -> None:
         self._reporter, self._spool = reporter, spool
-        # Unknown before the first report: earlier runs may have evicted, too.
+        # Unknown before the first report: earlier runs may have evicted chips, too.
         self._evicted: int | None = None
 
     def facts(self) -> dict[str, str]:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The state file of a node: a small file that each run leaves to the next one.
+The state file of a node: a small file that each run leaves for the next one.
 
 It is written as a whole once a second and at the end. Only the last write is flushed to disk,
 because a flush would hold up the node; a power cut may cost the last seconds, and on some file
@@ -32,7 +32,7 @@ from obbhbb_ros.nodes.last_run import read_run
 _BOOT_ID = Path('/proc/sys/kernel/random/boot_id')
 # A state file has about 2 kB.
 _MAX_BYTES = 1_000_000
-# No more of the stacks is worth logging.
+# More of the stacks is not worth logging.
 _MAX_STACKS = 20_000
 
 
