@@ -226,7 +226,9 @@ class OutboxFeeder:
         """Refuse an outbox that is not the one that chips have gone into; it may be unmounted."""
         expected, folder = self._spool.outbox(), self._outbox.folder
         if expected and not folder.exists():
-            raise SpoolError(f'{folder} is missing; is it mounted? To begin a new one, create it')
+            raise SpoolError(
+                f'{folder} is missing; is it mounted? For a new outbox, create this folder'
+            )
         token = self._outbox.token()
         self._outbox.lock()
         if token == expected:

@@ -743,7 +743,10 @@ def test_an_outbox_without_chips_may_be_replaced(tmp_path) -> None:
     ground.clock.now += 100.0
     store(ground.writer, [0.9])
     ground.steps(2, 2.0)
-    assert 'outbox is missing; is it mounted? To begin a new one, create it' in ground.troubles[-1]
+    assert (
+        'outbox is missing; is it mounted? For a new outbox, create this folder'
+        in ground.troubles[-1]
+    )
     assert not (tmp_path / 'outbox').exists()
     (tmp_path / 'outbox').mkdir()
     ground.steps(2, 2.0)
