@@ -35,7 +35,7 @@ def add_bag_options(parser: ArgumentParser) -> None:
         '--camera-info',
         metavar='TOPIC',
         default='',
-        help='topic that the image size is taken from; default: camera_info beside the detections',
+        help='topic that has the image size; default: camera_info beside the detections',
     )
     add('--replace', action='store_true', help='leave out the boxes and crop regions of IN')
     add('--storage', choices=('mcap', 'sqlite3'), default='', help='storage of OUT; default: as IN')

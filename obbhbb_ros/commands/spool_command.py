@@ -72,7 +72,7 @@ def add_spool_options(parser: ArgumentParser) -> None:
     for bound, default, others in (('min', -math.inf, 'more'), ('max', math.inf, 'less')):
         meaning = f'only chips of this value or {others}'
         add(f'--{bound}-value', type=float, default=default, metavar='V', help=meaning)
-    add('--all', action='store_true', help='delete or revalue all chips, without a condition')
+    add('--all', action='store_true', help='delete, revalue: all chips, without a condition')
     add(
         '--limit',
         type=int,
