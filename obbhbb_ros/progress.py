@@ -24,6 +24,12 @@ def track(
     yield from items
 
 
+def announce(step: str) -> None:
+    """Say on the terminal what takes time now; nothing if stderr goes elsewhere."""
+    if sys.stderr.isatty():
+        note(f'{step} ...')
+
+
 def note(message: str) -> None:
     """Print a line to stderr, above a progress bar if there is one."""
     tqdm = sys.modules.get('tqdm')

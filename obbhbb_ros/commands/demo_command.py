@@ -16,6 +16,7 @@ from obbhbb_ros.downlink import chips
 from obbhbb_ros.files import write_bytes
 from obbhbb_ros.labels import ImageLabels
 from obbhbb_ros.labels import write_labels
+from obbhbb_ros.progress import announce
 from obbhbb_ros.study import chip_costs
 from obbhbb_ros.study import tables
 from obbhbb_ros.study.harbour import harbour
@@ -44,6 +45,7 @@ def run_demo(options: Namespace) -> None:
     if options.bag and options.bag.exists():
         raise ValueError(f'{options.bag} exists already')
     ships = harbour()
+    announce('converting a harbour with the node, by each method')
     boxes = boxes_by_method(ships)
     print(f'{len(ships.class_ids)} ships of a synthetic harbour, converted by the node over DDS\n')
     print(tables.scene_table(ships, boxes))
@@ -63,6 +65,7 @@ def _record_demo(ships: ImageLabels, bag: Path | None, folder: Path) -> None:
     except ImportError as error:
         print(f'no bag, no overlay: {error}; they need the extras `bags` and `chips`')
         return
+    announce('recording the nodes at work')
     messages = demo.record_chain(frames)
     write_bytes(folder / 'overlay.jpg', demo.last_overlay(messages))
     print(f'overlay: {folder / "overlay.jpg"}, the last picture of the node overlay')
@@ -84,6 +87,7 @@ def _fly_over(ships: ImageLabels, folder: Path) -> None:
     # Grey: beside larger images, of 0.9 MB, the middleware is late with the poses.
     grey = chip_costs.render(ships).mean(axis=2, keepdims=True).round().astype(np.uint8)
     _write_images(folder / 'harbour', [(ships, grey)])
+    announce('flying over the harbour with a tracker, and releasing what the link takes')
     flown = demo_pass.fly_over(folder / 'harbour', folder)
     print(
         f'pass:    {folder}, {flown.chips} chips of {flown.ships} ships; of a fifth of the bytes, '

@@ -62,15 +62,25 @@ class DetectionsInput(Part):
         Takes a message, its type and the camera of its image; publishes what comes of it.
     waits : Waits, optional
         What a message waits for; nothing by default.
+    needs_camera : bool
+        Whether the node can do nothing without `camera_info`, so that its absence is reported.
     """
 
-    def __init__(self, node: ManagedNode[Any], answer: Answer, waits: Waits | None = None) -> None:
+    def __init__(
+        self,
+        node: ManagedNode[Any],
+        answer: Answer,
+        waits: Waits | None = None,
+        needs_camera: bool = False,
+    ) -> None:
         self._node, self._answer, self._waits = node, answer, waits
         self._waiting = FrameQueue[bytes](waits.is_coming) if waits else None
         self._input_type = INPUT_TYPES[node.get_parameter('input_type').value]
         # First, so that the node knows an image size that was published before the detections.
         cameras = reliable(CAMERAS_KEPT)
-        node.topics.input(CameraInfo, 'camera_info', self._on_camera_info, qos=cameras)
+        node.topics.input(
+            CameraInfo, 'camera_info', self._on_camera_info, qos=cameras, optional=not needs_camera
+        )
         self._detections = node.topics.input(
             self._input_type, self._input_type.topic, self._on_message, 'messages_received'
         )

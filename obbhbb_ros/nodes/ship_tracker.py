@@ -76,7 +76,9 @@ class ShipTracker(ManagedNode[TrackerSettings]):
                 positions=_output(self.topics.output(Detection3DArray, 'positions')),
                 image_pose=_output(self.topics.output(PoseWithCovarianceStamped, 'image_pose')),
             )
-        self._detections = DetectionsInput(self, self._answer, waits)
+        self._detections = DetectionsInput(
+            self, self._answer, waits, needs_camera=pose_type != NO_POSE
+        )
         # After the detections, so that the last list has all of them.
         listing = self.parameters.settings.reports.period > 0.0
         self._lists = ShipLists(self) if listing else None

@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from harness import ChipNode
 from harness import Converter
 from harness import Site
+from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import CompressedImage
 from ships import detections
 from ships import fleet
@@ -86,3 +87,16 @@ def test_the_compressed_topic_is_named_if_nobody_publishes_on_the_plain_one(site
     with ChipNode(site) as node:
         node.peer.node.create_publisher(CompressedImage, 'image/compressed', 10)
         node.wait_for_log(f'nobody publishes on {node.namespace}/image', 'set image_transport')
+
+
+def test_a_tracker_that_places_ships_says_which_camera_info_it_may_read(
+    start: Callable[..., Converter],
+) -> None:
+    node = start(
+        parameters={'pose_type': 'PoseStamped'},
+        executable='ship_tracker',
+        topic='tracked_detections',
+    )
+    node.peer.node.create_publisher(CameraInfo, 'camera/camera_info', 10)
+    line = node.wait_for_log(f'nobody publishes on {node.namespace}/camera_info')
+    assert line.endswith(f'; remap it to {node.namespace}/camera/camera_info?')

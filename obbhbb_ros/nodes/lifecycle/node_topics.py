@@ -202,7 +202,7 @@ class TopicInput:
 
     def _report_loneliness(self, has_publisher: bool) -> None:
         """Say once that nobody publishes on a topic that the node needs while it is active."""
-        if has_publisher or self.optional or not self.counter or not self.topics.is_active:
+        if has_publisher or self.optional or not self.topics.is_active:
             self._lonely_looks = 0
             return
         self._lonely_looks += 1
@@ -309,7 +309,7 @@ class NodeTopics(Part):
         counter: str = '',
         qos: QoSProfile | None = None,
         on_demand: bool = False,
-        optional: bool = False,
+        optional: bool | None = None,
     ) -> TopicInput:
         """
         Add a topic to subscribe to.
@@ -332,13 +332,15 @@ class NodeTopics(Part):
         on_demand : bool
             Whether the node itself opens the input, instead of `configure`.
         optional : bool
-            Whether the node works without it. It also works without an input that has no counter.
+            Whether the node works without it; by default if it has no counter.
 
         Returns
         -------
         TopicInput
             The topic.
         """
+        if optional is None:
+            optional = not counter
         added = TopicInput(self, kind, topic, callback, counter, qos or reliable(_DEPTH), optional)
         (self._on_demand if on_demand else self._topics).append(added)
         return added
