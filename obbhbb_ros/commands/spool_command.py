@@ -9,9 +9,11 @@ from argparse import ArgumentParser
 from argparse import Namespace
 from collections.abc import Callable
 from collections.abc import Iterable
+from collections.abc import Mapping
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 from obbhbb_ros.ground import spools
 from obbhbb_ros.spool.books import Status
@@ -20,7 +22,10 @@ from obbhbb_ros.spool.console import ANY_CHIP
 from obbhbb_ros.spool.console import ChipFilter
 from obbhbb_ros.spool.console import ObjectSummary
 from obbhbb_ros.spool.console import SpoolConsole
+from obbhbb_ros.spool.list_rows import ShipListFile
+from obbhbb_ros.spool.salvage import holds_lists
 from obbhbb_ros.spool.salvage import intact_chips
+from obbhbb_ros.spool.salvage import intact_lists
 
 _CHIPS_LISTED, _EXPORTED = 20, Path('out/chips')
 _ALL = 2**63 - 1
@@ -42,7 +47,8 @@ def add_spool_options(parser: ArgumentParser) -> None:
         'spool',
         type=Path,
         metavar='PATH',
-        help='folder of the spool; for export also a damaged catalogue, chips_*.sqlite3',
+        help='folder of the spool; for export also a damaged catalogue, chips_*.sqlite3 or '
+        'lists/ships_*.sqlite3',
     )
     add(
         'action',
@@ -106,8 +112,7 @@ def run_spool(options: Namespace) -> int:
         options.class_ids, options.ids, options.min_value, options.max_value, options.objects
     )
     if options.spool.is_file() and options.action == 'export':
-        intact = ((chip, data) for chip, data in intact_chips(options.spool) if chips.matches(chip))
-        _export(intact, options)
+        _export_intact(chips, options)
         return 0
     if options.action in ('delete', 'revalue') and chips == ANY_CHIP and not options.all:
         raise ValueError(f'{options.action}: which chips? Give a condition, or --all')
@@ -127,24 +132,43 @@ def _list_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) ->
         return
     shown = console.select(chips, limit)
     if options.json:
-        print(json.dumps(spools.as_json(status, shown), indent=1, ensure_ascii=False))
+        _print_json(spools.as_json(status, shown), options)
     else:
-        print(spools.status_text(status) + '\n\n' + spools.chip_table(shown, status.fade))
+        print(f'{_books_text(status, options)}\n\n{spools.chip_table(shown, status.fade)}')
 
 
 def _list_objects(objects: Sequence[ObjectSummary], status: Status, options: Namespace) -> None:
     """Show the books, and the ships whose chips are released next."""
     if options.json:
         listed = spools.objects_as_json(objects, status.fade)
-        books = {**spools.as_json(status, ()), 'objects': listed}
-        print(json.dumps(books, indent=1, ensure_ascii=False))
+        _print_json({**spools.as_json(status, ()), 'objects': listed}, options)
     else:
-        print(spools.status_text(status) + '\n\n' + spools.object_table(objects, status.fade))
+        print(f'{_books_text(status, options)}\n\n{spools.object_table(objects, status.fade)}')
+
+
+def _books_text(status: Status, options: Namespace) -> str:
+    """Write the books of chips and of ship lists."""
+    text = spools.status_text(status)
+    if lists := spools.open_lists(options.spool):
+        with closing(lists):
+            text += '\n' + spools.list_text(lists.status())
+    return text
+
+
+def _print_json(books: Mapping[str, Any], options: Namespace) -> None:
+    """Print books of chips, and with them those of ship lists."""
+    if lists := spools.open_lists(options.spool):
+        with closing(lists):
+            books = {**books, 'lists': spools.list_books(lists.status())}
+    print(json.dumps(books, indent=1, ensure_ascii=False))
 
 
 def _check_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> int:
-    """Check catalogue, books and files."""
+    """Check catalogues, books and files."""
     wrong = list(spools.wrong_with(console))
+    if lists := spools.open_lists(options.spool):
+        with closing(lists):
+            wrong += spools.wrong_with_lists(lists)
     print('\n'.join(wrong) or f'{options.spool} is in order')
     return 1 if wrong else 0
 
@@ -167,9 +191,13 @@ def _delete_from_spool(console: SpoolConsole, chips: ChipFilter, options: Namesp
 
 
 def _export_spool(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> None:
-    """Write chips and their JSON to a folder, and leave them in the spool."""
+    """Write chips, ship lists and their JSON to a folder, and leave them in the spool."""
     fade = console.status().fade
     _export(console.files(console.select(chips)), options, fade)
+    # Conditions are on chips.
+    if chips == ANY_CHIP and (lists := spools.open_lists(options.spool)):
+        with closing(lists):
+            _export_lists(lists.files(), options)
 
 
 def _export(
@@ -177,6 +205,21 @@ def _export(
 ) -> None:
     """Write chips to a folder, and say how many."""
     print(f'{spools.export(chips, options.output or _EXPORTED, fade)} chips exported')
+
+
+def _export_lists(lists: Iterable[ShipListFile], options: Namespace) -> None:
+    """Write ship lists to a folder, and say how many."""
+    print(f'{spools.export_lists(lists, options.output or _EXPORTED)} ship lists exported')
+
+
+def _export_intact(chips: ChipFilter, options: Namespace) -> None:
+    """Write what is intact in a catalogue of chips or of ship lists."""
+    if holds_lists(options.spool):
+        if chips != ANY_CHIP:
+            raise ValueError('export: a catalogue of ship lists takes no condition')
+        _export_lists(intact_lists(options.spool), options)
+        return
+    _export(((c, data) for c, data in intact_chips(options.spool) if chips.matches(c)), options)
 
 
 def _forget_outbox(console: SpoolConsole, chips: ChipFilter, options: Namespace) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A spool for people: its books, its chips, what is wrong with it."""
+"""A spool for people: its books, its chips and ship lists, what is wrong with it."""
 
 from __future__ import annotations
 
@@ -22,9 +22,14 @@ from obbhbb_ros.spool.chip_rows import StoredChip
 from obbhbb_ros.spool.chip_rows import describe_intact
 from obbhbb_ros.spool.console import ObjectSummary
 from obbhbb_ros.spool.console import SpoolConsole
+from obbhbb_ros.spool.list_console import ListConsole
+from obbhbb_ros.spool.list_rows import ShipListFile
+from obbhbb_ros.spool.list_spool import ListStatus
 from obbhbb_ros.spool.outbox import Outbox
 from obbhbb_ros.text_tables import aligned
 
+# What becomes of listed ships, besides waiting.
+_FATES = ('released', 'merged', 'dropped', 'damaged')
 # By `ChipState`.
 STATES = ('waiting', 'being released', 'in outbox')
 
@@ -34,9 +39,15 @@ def open_spool(folder: Path) -> SpoolConsole:
     if folder.is_dir():
         # The search for files below would hide an error.
         os.listdir(folder)
-    if not catalogue_files(folder):
+    if not catalogue_files(folder) and open_lists(folder) is None:
         raise ValueError(f'{folder} is no spool: it has no file chips_*.sqlite3')
     return SpoolConsole(folder, note)
+
+
+def open_lists(folder: Path) -> ListConsole | None:
+    """Open the ship lists of a spool; None if it never had one."""
+    lists = ListConsole(folder, note)
+    return lists if lists.exists else None
 
 
 def status_text(status: Status) -> str:
@@ -66,6 +77,38 @@ def status_text(status: Status) -> str:
     if status.balance:
         lines.append(f'The books do not balance: {status.balance} chips are unaccounted for')
     return '\n'.join(lines)
+
+
+def list_text(status: ListStatus) -> str:
+    """Write the books of ship lists."""
+
+    def counts(*parts: tuple[str, int]) -> str:
+        return ', '.join(f'{name} {count}' for name, count in parts)
+
+    ships = counts(
+        ('waiting', status.ships_waiting + status.ships_claimed),
+        *((name, status.counts.get(f'ships_{name}', 0)) for name in _FATES),
+    )
+    lists = counts(
+        ('in outbox', status.in_outbox),
+        ('delivered', status.counts.get('delivered', 0)),
+        ('lost with an outbox', status.counts.get('outbox_lost', 0)),
+    )
+    lines = [
+        f'ships      {status.counts.get("ships_added", 0)} listed ({ships})',
+        f'lists      {status.counts.get("released", 0)} released ({lists})',
+    ]
+    if status.set_aside:
+        lines.append(f'{status.set_aside} damaged catalogues of lists set aside')
+    if status.balance:
+        lines.append(f'The books do not balance: {status.balance} ships are unaccounted for')
+    return '\n'.join(lines)
+
+
+def list_books(status: ListStatus) -> dict[str, int]:
+    """Return the books of ship lists for a JSON file."""
+    books = {name: value for name, value in vars(status).items() if name != 'counts'}
+    return books | dict(sorted(status.counts.items()))
 
 
 def chip_table(chips: Iterable[StoredChip], fade: float) -> str:
@@ -140,6 +183,34 @@ def wrong_with(console: SpoolConsole) -> Iterator[str]:
             f'{status.set_aside} damaged catalogues are set aside, each with a file *.damaged '
             "beside it: 'obbhbb spool FILE export' writes their intact chips"
         )
+
+
+def wrong_with_lists(lists: ListConsole) -> Iterator[str]:
+    """Check structure, books and every ship list; yield what is wrong."""
+    try:
+        yield from lists.integrity()
+    except SpoolDamagedError as error:
+        note(str(error))
+        yield 'the check of the ship lists has not come to its end'
+    status = lists.status()
+    if status.balance:
+        yield f'the books of the lists do not balance: {status.balance} ships are unaccounted for'
+    if status.set_aside:
+        yield (
+            f'{status.set_aside} damaged catalogues of ship lists are set aside, each with a file '
+            "*.damaged beside it: 'obbhbb spool FILE export' writes their intact lists"
+        )
+
+
+def export_lists(lists: Iterable[ShipListFile], folder: Path) -> int:
+    """Write ship lists with their JSON to a folder, as to an outbox; return how many."""
+    outbox, count = Outbox(folder), 0
+    for ships in lists:
+        folder.mkdir(parents=True, exist_ok=True)
+        outbox.add(ships.id, ships.suffix, ships.content, ships.json_bytes(), level=0)
+        count += 1
+    outbox.finish()
+    return count
 
 
 def export(

@@ -3,8 +3,10 @@
 
 import json
 import os
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -12,15 +14,18 @@ from spooled import SpoolUsers
 from spooled import database
 from spooled import in_outbox
 from spooled import new_chip
+from spooled import ship_report
 from spooled import store
 from spooled import values_in_outbox
 
 from obbhbb_ros.cli import main
+from obbhbb_ros.reports.ship_list import read_ship_list
 from obbhbb_ros.spool.books import Books
 from obbhbb_ros.spool.catalogue import DAMAGED
 from obbhbb_ros.spool.catalogue import catalogue_files
 from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.console import SpoolConsole
+from obbhbb_ros.spool.list_spool import ListSpool
 from obbhbb_ros.spool.writer import SpoolWriter
 
 ALL = float('inf')
@@ -435,3 +440,91 @@ def test_chips_of_a_ship_are_revalued_and_deleted(ships, capsys) -> None:
     assert run(ships, 'delete', '--object', 'a-1') == 0
     assert capsys.readouterr().out == '2 chips revalued\n2 chips deleted\n'
     assert values(ships) == [0.5, 0.4]
+
+
+@pytest.fixture
+def lists(folder):
+    """Add ship lists to the spool: of 40 ships, 10 are in the outbox, 30 wait."""
+    spool = ListSpool(folder, print)
+    spool.add([ship_report(number) for number in range(10)])
+    listed = spool.claim(ALL)
+    spool.released(listed.id, 'outbox', is_delivered=False)
+    spool.add([ship_report(number) for number in range(10, 40)])
+    spool.close()
+    return folder / 'lists'
+
+
+def exported_ships(folder):
+    """Read the ids of the ships of all lists in a folder."""
+    return {
+        ship.id
+        for path in folder.glob('0/*.geojson.gz')
+        for ship in read_ship_list(path.read_bytes())
+    }
+
+
+WAITING = {ship_report(number).id for number in range(10, 40)}
+
+
+def test_ship_lists_are_in_the_books(folder, lists, capsys) -> None:
+    assert run(folder) == 0
+    text = capsys.readouterr().out
+    assert 'ships      40 listed (waiting 30, released 10, merged 0, dropped 0, damaged 0)' in text
+    assert 'lists      1 released (in outbox 1, delivered 0, lost with an outbox 0)' in text
+    for arguments in ((), ('--objects',)):
+        assert run(folder, 'list', '--json', *arguments) == 0
+        books = json.loads(capsys.readouterr().out)['lists']
+        assert (books['ships_added'], books['ships_waiting'], books['in_outbox']) == (40, 30, 1)
+
+
+def test_a_spool_without_lists_does_not_speak_of_them(folder, capsys) -> None:
+    assert run(folder) == 0
+    assert 'listed' not in capsys.readouterr().out
+    assert run(folder, 'list', '--json') == 0
+    assert 'lists' not in json.loads(capsys.readouterr().out)
+
+
+def test_a_spool_of_ship_lists_alone_is_one(tmp_path, capsys) -> None:
+    spool = ListSpool(tmp_path, print)
+    spool.add([ship_report(1)])
+    spool.close()
+    assert run(tmp_path) == 0
+    assert '1 listed (waiting 1,' in capsys.readouterr().out
+
+
+def test_export_writes_the_ships_that_wait(folder, lists, tmp_path, capsys) -> None:
+    assert run(folder, 'export', '-o', tmp_path / 'out') == 0
+    assert '1 ship lists exported' in capsys.readouterr().out
+    assert exported_ships(tmp_path / 'out') == WAITING
+    assert run(folder, 'export', '--class', 'tug', '-o', tmp_path / 'tugs') == 0
+    assert exported_ships(tmp_path / 'tugs') == set()
+
+
+@pytest.mark.parametrize(
+    ('column', 'value', 'problem'),
+    [
+        ('data', b'no list', 'the list is damaged'),
+        ('ships', 7, 'the list is damaged'),
+        ('digest', 'x', 'the list is damaged'),
+    ],
+)
+def test_check_finds_damaged_ship_lists(folder, lists, column, value, problem, capsys) -> None:
+    assert run(folder, 'check') == 0
+    (file,) = lists.glob('*.sqlite3')
+    with closing(sqlite3.connect(file)) as rows, rows:
+        rows.execute(f'UPDATE lists SET {column} = ? WHERE state = 0', (value,))
+    assert run(folder, 'check') == 1
+    assert problem in capsys.readouterr().out
+
+
+def test_the_intact_lists_of_a_damaged_catalogue_can_be_exported(
+    folder, lists, tmp_path, capsys
+) -> None:
+    (file,) = lists.glob('*.sqlite3')
+    # Without its books it is none that the nodes would use.
+    with closing(sqlite3.connect(file)) as rows, rows:
+        rows.executescript('DROP TABLE books; DROP TABLE books_copy')
+    assert run(file, 'export', '-o', tmp_path / 'saved') == 0
+    assert exported_ships(tmp_path / 'saved') == WAITING
+    assert run(file, 'export', '--class', 'tug') == 1
+    assert 'takes no condition' in capsys.readouterr().err
