@@ -71,16 +71,21 @@ class Bus:
     def _take(self, path: Path) -> None:
         try:
             facts = json.loads(path.read_text(encoding='utf-8'))
-            chip = path.with_suffix('.png')
-            if hashlib.sha256(chip.read_bytes()).hexdigest() != facts['sha256']:
+            (file,) = (other for other in path.parent.glob(f'{path.stem}.*') if other != path)
+            content = file.read_bytes()
+            if hashlib.sha256(content).hexdigest() != facts['sha256']:
                 self.wrong.append(f'{path}: another file')
+            self.taken[facts['id']] += 1
+            self.note(facts, content)
         except (OSError, ValueError) as error:
             self.wrong.append(f'{path}: {error!r}')
             return
-        self.taken[facts['id']] += 1
-        self.views.setdefault(facts['object'], {})[facts['id']] = facts['view']
-        chip.unlink()
+        file.unlink()
         path.unlink()
+
+    def note(self, facts: dict[str, Any], content: bytes) -> None:
+        """Note what came down; ValueError if that cannot be read."""
+        self.views.setdefault(facts['object'], {})[facts['id']] = facts['view']
 
 
 class Chain(ExitStack):

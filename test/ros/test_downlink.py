@@ -710,14 +710,19 @@ def test_every_key_of_the_downlink_node_is_explained(chain: Chain) -> None:
     assert not unexplained(chain.books(), 'chip_extractor.md')
 
 
-def test_the_books_balance_after_every_kill_and_the_bus_has_what_they_say(site: Site) -> None:
+@pytest.mark.parametrize(
+    ('options', 'count'), [(['--count', '30'], '3[01]'), (['--count', '8', '--lists'], '[89]')]
+)
+def test_the_books_balance_after_every_kill_and_the_bus_has_what_they_say(
+    site: Site, options: list[str], count: str
+) -> None:
     command = Path(__file__).parents[1] / 'soak' / 'kills.py'
     done = subprocess.run(
-        [sys.executable, command, '--count', '30', '--seed', '1'],
+        [sys.executable, command, '--seed', '1', *options],
         check=False,
         capture_output=True,
         text=True,
         timeout=900,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r'3[01] kills, .*none wrong', done.stdout)
+    assert re.search(rf'{count} kills, .*none wrong', done.stdout)
