@@ -15,6 +15,7 @@ from obbhbb_ros.reports.ship_list import LIST_SUFFIXES
 from obbhbb_ros.reports.ship_list import read_ship_list
 from obbhbb_ros.reports.ship_report import ShipListError
 from obbhbb_ros.reports.ship_report import ShipReport
+from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.compact_json import compact_bytes
 from obbhbb_ros.spool.seals import digest_of
 
@@ -22,7 +23,8 @@ _LIST_ID = re.compile(f'{LIST_KIND}_[0-9a-f]{{6}}_[0-9]{{1,18}}')
 LIST_JSON_ROOM = 256
 """Maximum bytes of the JSON of a list."""
 
-
+STATES = (ChipState.WAITING, ChipState.CLAIMED, ChipState.RELEASED)
+"""The states of a list."""
 Blob: TypeAlias = bytes
 
 
@@ -92,7 +94,7 @@ class StoredList(NamedTuple):
     outbox : str
         Token of the outbox that it was released into; empty before.
     digest : str
-        Digest of numbers and file.
+        Digest of all the rest.
     data : bytes or None
         While it waits, all ships as GeoJSON; when it is claimed, its file; then nothing.
     """
@@ -112,8 +114,18 @@ class StoredList(NamedTuple):
 
     def own_digest(self) -> str:
         """Compute the digest of what it is."""
-        head = f'{self.seq} {self.ships} {self.max_bytes} {self.bytes} '
+        head = f'{self.seq} {self.state} {self.ships} {self.max_bytes} {self.bytes} {self.outbox} '
         return digest_of(head.encode(errors='surrogatepass') + (self.data or b''))
+
+    def mended(self) -> StoredList | None:
+        """Return the list in the state that its digest says; None if it is damaged otherwise."""
+        # Damage may have turned a field into anything.
+        with suppress(TypeError):
+            for state in (self.state, *STATES):
+                row = self._replace(state=state)
+                if row.digest == row.own_digest():
+                    return row
+        return None
 
     def read(self) -> list[ShipReport] | None:
         """Read the ships; None if the row is damaged."""

@@ -16,9 +16,10 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable
 from collections.abc import Collection
+from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,6 +40,7 @@ from obbhbb_ros.spool.chip_rows import ChipState
 from obbhbb_ros.spool.list_rows import LIST_COLUMNS
 from obbhbb_ros.spool.list_rows import LIST_INSERT
 from obbhbb_ros.spool.list_rows import LIST_JSON_ROOM
+from obbhbb_ros.spool.list_rows import STATES
 from obbhbb_ros.spool.list_rows import ShipListFile
 from obbhbb_ros.spool.list_rows import StoredList
 from obbhbb_ros.spool.schema import BOOKS_SCRIPT
@@ -232,10 +234,9 @@ class ListSpool:
                     continue
                 books.count('released', 1)
                 books.count('ships_released', self._take_ships(books, row))
-                rows.execute(
-                    'UPDATE lists SET state = ?, data = NULL, outbox = ? WHERE seq = ?',
-                    (ChipState.RELEASED, outbox, row.seq),
-                )
+                there = row._replace(state=ChipState.RELEASED, outbox=outbox, data=None)
+                rows.execute('DELETE FROM lists WHERE seq = ?', (row.seq,))
+                rows.execute(LIST_INSERT, there.with_digest())
                 books.put(ChipState.RELEASED, [row.bytes])
                 if is_delivered:
                     self._deliver(rows, books, row.seq, 'delivered')
@@ -272,9 +273,34 @@ class ListSpool:
         """Close the catalogue; the next call opens it again."""
         self._catalogue.close()
 
-    def _booking(self) -> AbstractContextManager[tuple[sqlite3.Cursor, Books]]:
+    @contextmanager
+    def _booking(self) -> Iterator[tuple[sqlite3.Cursor, Books]]:
         """Run a `with` block as one transaction that may change lists and books."""
-        return booking(self._catalogue, self._on_trouble)
+        with booking(self._catalogue, self._on_trouble) as (rows, books):
+            self._recount(books, _mended(rows))
+            yield rows, books
+
+    def _recount(self, books: Books, stored: Collection[StoredList]) -> None:
+        """Hold the books against the lists that are stored; count and report what damage took."""
+        lists = [[row for row in stored if row.state == state] for state in STATES]
+        lost = 0
+        for state, name in _SHIPS.items():
+            ships = sum(row.ships for row in lists[state])
+            lost += books.counts.pop(name, 0) - ships
+            books.count(name, ships)
+        gone = [held[0] - len(there) for held, there in zip(books.held, lists, strict=True)]
+        books.held = [[len(there), sum(row.bytes for row in there)] for there in lists]
+        books.count('ships_damaged', lost)
+        books.count('damaged', gone[ChipState.CLAIMED])
+        # It may be in the outbox still, but nothing knows it there any more.
+        books.count('outbox_lost', gone[ChipState.RELEASED])
+        if lost:
+            self._on_trouble(f'{self._folder}: a ship list was damaged; {lost} ships are lost')
+        if gone[ChipState.RELEASED]:
+            self._on_trouble(
+                f'{self._folder}: whether the bus takes {gone[ChipState.RELEASED]} released lists '
+                'is not known any more: their rows were damaged'
+            )
 
     def _rows(self, rows: sqlite3.Cursor, state: int) -> list[StoredList]:
         """Read the lists in a state, the oldest first."""
@@ -339,6 +365,21 @@ class ListSpool:
             books.count(name, books.take(ChipState.RELEASED, [size]))
             if name == 'delivered' and isinstance(size, int):
                 books.count('delivered_bytes', size)
+
+
+def _mended(rows: sqlite3.Cursor) -> Collection[StoredList]:
+    """Read all lists; delete those that are damaged, and put the state of others right."""
+    rows.execute(f'SELECT {LIST_COLUMNS} FROM lists')
+    intact = {}
+    for row in [StoredList(*fields) for fields in rows.fetchall()]:
+        mended = row.mended()
+        if mended is None:
+            rows.execute('DELETE FROM lists WHERE seq = ?', (row.seq,))
+            continue
+        intact[row.seq] = mended
+        if mended.state != row.state:
+            rows.execute('UPDATE lists SET state = ? WHERE seq = ?', (mended.state, row.seq))
+    return intact.values()
 
 
 # In the books, how many ships are in a state.

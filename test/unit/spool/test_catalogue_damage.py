@@ -9,7 +9,8 @@ from contextlib import suppress
 from hashlib import sha256
 
 import pytest
-from flips import Flips
+from flips import ChipFlips
+from flips import ListFlips
 from spooled import SpoolUsers
 from spooled import database
 from spooled import feeder
@@ -63,15 +64,26 @@ def go_on(spool, folder, troubles):
 @pytest.mark.parametrize('bit', [144, 376, 49304, 65026, 129442, 157528])
 def test_bits_that_once_stopped_a_node(tmp_path, bit) -> None:
     """Of the header, of an index, the state of a row, the text of the books, the id of a chip."""
-    flips = Flips(tmp_path)
+    flips = ChipFlips(tmp_path)
     assert flips.check(bit)
 
 
 def test_no_flipped_bit_releases_a_wrong_chip_or_stops_a_node(tmp_path) -> None:
     """A sample; `test/fuzz/catalogue.py` takes all."""
-    flips = Flips(tmp_path)
+    flips = ChipFlips(tmp_path)
     outcomes = {flips.check(bit) for bit in range(0, flips.bits, 2503)}
     assert outcomes >= {'set aside', '1 damaged chips, reported', '0 damaged chips, not a word'}
+
+
+def test_no_flipped_bit_loses_a_ship_in_silence(tmp_path) -> None:
+    """A sample; `test/fuzz/catalogue.py --lists` takes all."""
+    flips = ListFlips(tmp_path)
+    outcomes = {flips.check(bit) for bit in range(20, flips.bits, 1639)}
+    assert outcomes >= {
+        '0 ships lost, 0 set aside, not a word',
+        '4 ships lost, 0 set aside, reported',
+        '8 ships lost, 1 set aside, reported',
+    }
 
 
 @pytest.mark.parametrize('place', [-1, -2, -10, -100])

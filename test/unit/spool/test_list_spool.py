@@ -248,6 +248,10 @@ def change_rows(folder, statement):
         "UPDATE lists SET ships = 'many'",
         "UPDATE lists SET digest = x'ff'",
         'UPDATE lists SET max_bytes = 7',
+        'UPDATE lists SET state = 64',
+        'UPDATE lists SET state = 1',
+        'UPDATE lists SET state = 2',
+        'DELETE FROM lists',
     ],
 )
 def test_a_damaged_list_is_counted_and_said(chain, statement):
