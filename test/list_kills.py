@@ -44,8 +44,9 @@ PERIOD, REPORT_PERIOD = 0.1, 0.3
 SHIPS, ENTERING = 20, 15
 # A ship has one of so many places in the image, by its number.
 COLUMNS = 40
-# Frames that may be on their way, or wait for the end of a period, when a node is killed.
-IN_FLIGHT = 6
+# Frames that may be on their way, or wait for the end of a period, when a node is killed: three
+# seconds, for a machine that is busy.
+IN_FLIGHT = 30
 SIDE = 1024
 # 500 km above the equator, looking down.
 POSITION, ATTITUDE = (6878137.0, 0.0, 0.0), (0.5, 0.5, -0.5, -0.5)
@@ -219,7 +220,7 @@ def run(
             )
             if is_away:
                 excused |= {*range(last_listed, chain.sent)}
-            chain.run(draw.uniform(0.0, 2.0))
+            chain.run(draw.uniform(0.0, 6.0))
             names = draw.choice(choices)
             is_away, last_listed = names != ('downlink',), max(chain.sent - IN_FLIGHT, 0)
             status = chain.kill(*names)
